@@ -1,0 +1,256 @@
+"""The scene: one robot standing on one transporter, compiled, with the addresses of everything the task reads."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from torchrl_atr.envs.models.robot import RobotSpec
+from torchrl_atr.envs.models.transporter import TransporterSpec
+from torchrl_atr.envs.profiles import Readings
+
+TIMESTEP = 0.005
+"""Simulation step, s (200 Hz)."""
+DECK_HEIGHT = 0.15
+"""Height of the deck's centre above the floor, m: the altitude controller holds it (no vertical joint)."""
+_ARMATURE_RATIO = 100.0
+# The planar joints carry an armature of 100 robot masses: the rider then moves the prescribed motion by under 1 mm/s,
+# and the solver, whose tolerance scales with the trace of the inertia matrix, still converges.
+PLANAR_JOINTS = ("platform_x", "platform_y", "platform_yaw")
+TILT_JOINTS = ("platform_pitch", "platform_roll")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Addresses of the scene's parts in ``qpos``, ``qvel``, ``sensordata`` and the model's fields (integer arrays)."""
+
+    root_qpos: int
+    root_dof: int
+    joint_qpos: np.ndarray
+    joint_dof: np.ndarray
+    actuators: np.ndarray
+    planar_qpos: np.ndarray
+    planar_dof: np.ndarray
+    tilt_qpos: np.ndarray
+    tilt_dof: np.ndarray
+    tilt_joints: np.ndarray
+    sensors: dict[str, slice]
+    trunk_body: int
+    deck_body: int
+    deck_geom: int
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A compiled scene; ``model``'s keyframe 0, ``stand``, is the robot standing in q0 with ctrl = q0."""
+
+    robot: RobotSpec
+    transporter: TransporterSpec
+    model: mujoco.MjModel
+    layout: Layout
+
+
+def build_scene(robot: RobotSpec, transporter: TransporterSpec, readings: Readings | None = None) -> Scene:
+    """Joins a robot and a transporter into one compiled model.
+
+    Args:
+        robot: the rider.
+        transporter: what it stands on.
+        readings: fixes the unit of the self-balancing gains (A12).
+
+    Returns:
+        The compiled scene: robot first, then the deck with planar joints x, y, yaw and tilt joints pitch, roll.
+
+    Example:
+        >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
+        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+        >>> scene.model.nu
+        12
+    """
+    spec = scene_spec(robot, transporter, readings or Readings())
+    model = spec.compile()
+    layout = _layout(model, robot)
+    qpos = _standing_qpos(model, layout, robot, transporter)
+    key = spec.add_key(name="stand", qpos=qpos, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
+    key.qvel = np.zeros(model.nv)
+    model = spec.compile()
+    return Scene(robot, transporter, model, layout)
+
+
+def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> mujoco.MjSpec:
+    """The editable scene, before compilation (its ``to_xml()`` opens in ``python -m mujoco.viewer``)."""
+    if not robot.mjcf.is_file():
+        raise FileNotFoundError(f"robot {robot.name!r}: there is no MJCF file at {robot.mjcf}")
+    spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+    spec.modelname = f"{robot.name}-{transporter.name}"
+    _set_options(spec)
+    _add_surroundings(spec)
+    robot_mass = float(mujoco.mj_getTotalmass(mujoco.MjModel.from_xml_path(str(robot.mjcf))))
+    _add_single_board(spec, transporter, readings, _ARMATURE_RATIO * robot_mass)
+    _add_sensors(spec, robot)
+    return spec
+
+
+def _set_options(spec: mujoco.MjSpec) -> None:
+    option = spec.option
+    option.timestep = TIMESTEP
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.iterations, option.ls_iterations = 10, 20
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
+    spec.memory = 1 << 20
+
+
+def _add_surroundings(spec: mujoco.MjSpec) -> None:
+    """Floor, sky and light: to look at, never to touch."""
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
+    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
+    spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.55, 0.7, 0.9],
+        rgb2=[0.95, 0.97, 1.0],
+        width=256,
+        height=256,
+    )
+    spec.add_texture(
+        name="floor",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        rgb1=[0.72, 0.74, 0.76],
+        rgb2=[0.62, 0.64, 0.67],
+        width=256,
+        height=256,
+    )
+    material = spec.add_material(name="floor", texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.05)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    world = spec.worldbody
+    world.add_geom(
+        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], material="floor", contype=0, conaffinity=0
+    )
+    world.add_light(pos=[0, 0, 4], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
+
+
+def _add_single_board(spec: mujoco.MjSpec, deck: TransporterSpec, readings: Readings, armature: float) -> None:
+    """One deck: planar joints whose motion the drive law prescribes, then the hinges that the rider tilts (Eqs. 4-6)."""
+    body = spec.worldbody.add_body(name="platform", pos=[0, 0, DECK_HEIGHT])
+    body.add_geom(
+        name="deck",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[side / 2 for side in deck.size],
+        mass=deck.mass,
+        rgba=[0.25, 0.45, 0.62, 1],
+        contype=0,
+        conaffinity=1,
+        # the deck's contact parameters rule: one friction coefficient to randomise
+        priority=1,
+        friction=[1.0, 0.005, 0.0001],
+        solref=[0.01, 1.0],
+        condim=3,
+    )
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    for name, kind, axis in zip(PLANAR_JOINTS, (slide, slide, hinge), np.eye(3)):
+        body.add_joint(name=name, type=kind, axis=axis, armature=armature)
+    for name, axis, gain in (("platform_pitch", [0, 1, 0], 1), ("platform_roll", [1, 0, 0], 0)):
+        joint = body.add_joint(name=name, type=hinge, axis=axis)
+        joint.stiffness = [deck.sb_stiffness[gain] * readings.sb_unit, 0, 0]
+        joint.damping = [deck.sb_damping[gain] * readings.sb_unit, 0, 0]
+    body.add_camera(name="chase", pos=[-1.9, -1.6, 1.0], xyaxes=[0.64, -0.77, 0, 0.30, 0.25, 0.92])
+
+
+def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
+    """Foot forces and positions, the total contact force on the deck, the robot's centre of mass: one array to read."""
+    force, netforce, one = 1 << 1, 3, 1  # what, how reduced, how many: a world-frame sum, zero without contact
+
+    def add_force(name: str, objtype: mujoco.mjtObj, objname: str) -> None:
+        spec.add_sensor(
+            name=name,
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=objtype,
+            objname=objname,
+            reftype=mujoco.mjtObj.mjOBJ_GEOM,
+            refname="deck",
+            intprm=[force, netforce, one],
+        )
+
+    for foot in robot.feet:
+        add_force(f"force_{foot}", mujoco.mjtObj.mjOBJ_GEOM, foot)
+    add_force("force_robot", mujoco.mjtObj.mjOBJ_XBODY, robot.trunk)
+    for foot in robot.feet:
+        spec.add_sensor(
+            name=f"position_{foot}",
+            type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
+            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objname=foot,
+        )
+    spec.add_sensor(
+        name="com", type=mujoco.mjtSensor.mjSENS_SUBTREECOM, objtype=mujoco.mjtObj.mjOBJ_BODY, objname=robot.trunk
+    )
+
+
+def _inverse(permutation: np.ndarray) -> np.ndarray:
+    inverse = np.empty_like(permutation)
+    inverse[permutation] = np.arange(len(permutation))
+    return inverse
+
+
+def _layout(model: mujoco.MjModel, robot: RobotSpec) -> Layout:
+    joints = np.array([model.joint(name).id for name in robot.joints])
+    actuator_of_joint = {int(joint): i for i, joint in enumerate(model.actuator_trnid[:, 0])}
+    root = model.body(robot.trunk).jntadr[0]
+    planar = np.array([model.joint(name).id for name in PLANAR_JOINTS])
+    tilt = np.array([model.joint(name).id for name in TILT_JOINTS])
+
+    def sensor(first: str, last: str) -> slice:
+        end = model.sensor(last)
+        return slice(int(model.sensor(first).adr[0]), int(end.adr[0] + end.dim[0]))
+
+    feet = robot.feet
+    return Layout(
+        root_qpos=int(model.jnt_qposadr[root]),
+        root_dof=int(model.jnt_dofadr[root]),
+        joint_qpos=model.jnt_qposadr[joints],
+        joint_dof=model.jnt_dofadr[joints],
+        actuators=np.array([actuator_of_joint[int(joint)] for joint in joints]),
+        planar_qpos=model.jnt_qposadr[planar],
+        planar_dof=model.jnt_dofadr[planar],
+        tilt_qpos=model.jnt_qposadr[tilt],
+        tilt_dof=model.jnt_dofadr[tilt],
+        tilt_joints=tilt,
+        sensors={
+            "foot_force": sensor(f"force_{feet[0]}", f"force_{feet[-1]}"),
+            "robot_force": sensor("force_robot", "force_robot"),
+            "foot_position": sensor(f"position_{feet[0]}", f"position_{feet[-1]}"),
+            "com": sensor("com", "com"),
+        },
+        trunk_body=model.body(robot.trunk).id,
+        deck_body=model.body("platform").id,
+        deck_geom=model.geom("deck").id,
+    )
+
+
+def _standing_qpos(
+    model: mujoco.MjModel, layout: Layout, robot: RobotSpec, transporter: TransporterSpec
+) -> np.ndarray:
+    """q0 with the feet level on the deck and the robot's centre of mass over the pivot."""
+    data = mujoco.MjData(model)
+    root = layout.root_qpos
+    data.qpos[layout.joint_qpos] = robot.q0
+    data.qpos[root : root + 7] = [0, 0, 0, 1, 0, 0, 0]
+    mujoco.mj_kinematics(model, data)
+    feet = np.stack([data.geom(foot).xpos for foot in robot.feet])
+    slope, _ = np.polyfit(feet[:, 0], feet[:, 2], 1)
+    pitch = math.atan(slope)  # turning by +pitch about y lowers the front by as much
+    data.qpos[root + 3 : root + 7] = [math.cos(pitch / 2), 0, math.sin(pitch / 2), 0]
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    soles = [data.geom(foot).xpos[2] - model.geom(foot).size[0] for foot in robot.feet]
+    com = data.subtree_com[layout.trunk_body]
+    data.qpos[root : root + 3] = [-com[0], -com[1], DECK_HEIGHT + transporter.size[2] / 2 - min(soles)]
+    return data.qpos.copy()

@@ -1,0 +1,142 @@
+"""The drive law: how the deck's tilt drives the transporter (Eqs. 1-3 and 7-10). Pure functions over NumPy arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_atr.envs.models.transporter import TransporterSpec
+from torchrl_atr.envs.profiles import Readings
+
+Array = NDArray[np.float64]
+
+
+def single_board_tilt(pitch: Array, roll: Array) -> tuple[Array, Array]:
+    """Forward and steering tilt of a single board: its pitch θ_y and roll θ_x, rad (Eqs. 1 and 3)."""
+    return pitch, roll
+
+
+DRIVING_TILTS: dict[str, Callable[[Array, Array], tuple[Array, Array]]] = {"single_board": single_board_tilt}
+"""For each kind of transporter, the map from its two hinge angles to (forward tilt, steering tilt)."""
+
+
+def resistance(x: Array, coefficients: tuple[float, float, float], readings: Readings) -> Array:
+    """Generalised resistance R(x) = c0 + c1 x + c2 x², signed (reading A10).
+
+    Args:
+        x: forward speed (m/s) or yaw rate (rad/s), any shape.
+        coefficients: (c0, c1, c2).
+        readings: ``odd_resistance`` and ``coulomb_smoothing``.
+
+    Returns:
+        R(x), same shape as ``x``; to be subtracted from the drive.
+
+    Example:
+        >>> float(resistance(np.array(-1.0), (0.2, 0.05, 0.005), Readings()).round(3))
+        -0.255
+    """
+    c0, c1, c2 = coefficients
+    if not readings.odd_resistance:
+        return c0 + c1 * x + c2 * x * x
+    speed = np.abs(x)
+    magnitude = c0 + c1 * speed + c2 * speed * speed
+    smoothing = readings.coulomb_smoothing
+    return magnitude * (np.tanh(x / smoothing) if smoothing else np.sign(x))
+
+
+def drive(forward_tilt: Array, steering_tilt: Array, deck: TransporterSpec, readings: Readings) -> tuple[Array, Array]:
+    """The propulsion of Eqs. 1 and 3 before resistance: (m/s², rad/s²) for a deck of unit relative mass.
+
+    Args:
+        forward_tilt: θ_y (or θ_avg), rad.
+        steering_tilt: θ_x (or θ_dif), rad.
+        deck: its drive limits.
+        readings: ``steering_smoothing`` (A11).
+
+    Returns:
+        Forward drive v̇max clip(θ_y/θnp) and yaw drive αmax sgn(θ_y) clip(-θ_x/θnp), with sgn(0) = 1 as the paper says.
+    """
+    smoothing = readings.steering_smoothing
+    sign = np.tanh(forward_tilt / smoothing) if smoothing else np.where(forward_tilt < 0.0, -1.0, 1.0)
+    forward = deck.max_acceleration * np.clip(forward_tilt / deck.tilt_norm, -1.0, 1.0)
+    yaw = deck.max_yaw_acceleration * sign * np.clip(-steering_tilt / deck.tilt_norm, -1.0, 1.0)
+    return forward, yaw
+
+
+def advance(
+    x: Array, push: Array, coefficients: tuple[float, float, float], scale: Array, dt: float, readings: Readings
+) -> Array:
+    """Speed after ``dt`` under ẋ = scale (push - R(x)).
+
+    With the jump of sgn in R the resistance may stop the motion within the step but never reverse it (A10).
+
+    Args:
+        x: speed, m/s or rad/s, shape (N,).
+        push: propulsion, shape (N,).
+        coefficients: of R.
+        scale: 1 / m_P or 1 / I_zz, or relative to nominal (A9), shape (N,) or scalar.
+        dt: s.
+        readings: how R is read.
+    """
+    if readings.odd_resistance and not readings.coulomb_smoothing:
+        free = x + dt * scale * push
+        opposing = resistance(np.abs(x), coefficients, readings)
+        opposing = np.where(x == 0.0, coefficients[0], opposing)
+        return np.sign(free) * np.maximum(np.abs(free) - dt * scale * opposing, 0.0)
+    return x + dt * scale * (push - resistance(x, coefficients, readings))
+
+
+@dataclass(frozen=True)
+class DriveLaw:
+    """Eqs. 1-3 (or 7-10) for N transporters: tilt and speeds in, speeds one substep later out.
+
+    Attributes:
+        deck: geometry, mass and limits.
+        readings: the paper's open points.
+
+    Example:
+        >>> from torchrl_atr.envs.models import TRANSPORTERS
+        >>> law = DriveLaw(TRANSPORTERS.get("single_board"), Readings())
+        >>> speed = law(np.zeros((1, 2)), np.array([[0.78, 0.0]]), np.ones((1, 2)), dt=0.005)
+        >>> bool(np.allclose(speed, [[0.005 * (12 - 0.2), 0.0]]))
+        True
+    """
+
+    deck: TransporterSpec
+    readings: Readings
+
+    def mass_scale(self, mass: Array) -> Array:
+        """What multiplies (drive - R): 1/m_P and 1/I_zz, or relative to the nominal deck (A9).
+
+        Args:
+            mass: platform mass, kg, shape (N,).
+
+        Returns:
+            Shape (N, 2): forward, yaw. The deck is a uniform box, so I_zz follows its mass.
+        """
+        inertia = mass / self.deck.mass * self.deck.inertia[2]
+        reference = (self.deck.mass, self.deck.inertia[2]) if self.readings.relative_mass else (1.0, 1.0)
+        return np.stack([reference[0] / mass, reference[1] / inertia], axis=-1)
+
+    def __call__(self, speeds: Array, tilt: Array, scale: Array, dt: float) -> Array:
+        """Speeds (v_f, ω_z) after one substep.
+
+        Args:
+            speeds: v_f (m/s) and ω_z (rad/s), shape (N, 2).
+            tilt: the two hinge angles (pitch, roll), rad, shape (N, 2).
+            scale: from :meth:`mass_scale`, shape (N, 2).
+            dt: substep, s.
+        """
+        tilts = DRIVING_TILTS[self.deck.kind](tilt[:, 0], tilt[:, 1])
+        pushes = drive(*tilts, self.deck, self.readings)
+        coefficients = self.deck.resistance
+        return np.stack(
+            [
+                advance(speeds[:, i], pushes[i], coefficients, scale[:, i], dt, self.readings)
+                for i in range(2)  # forward, yaw
+            ],
+            axis=-1,
+        )

@@ -1,0 +1,72 @@
+"""Observations: proprio (o_t without the command) and the extrinsic privileged state, as named components.
+
+Adding a component is one entry in a table; sizes, slices and labels follow from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.task.rotations import rotate_back, wrap
+from torchrl_atr.envs.task.state import GRAVITY, RidingState
+
+
+def body_acceleration(state: RidingState, readings: Readings) -> Tensor:
+    """v̇_B in the body frame, m/s², (N, 3); with gravity's reaction if the profile asks for an IMU (A18)."""
+    acceleration = state.acceleration
+    if readings.gravity_in_acceleration:
+        acceleration = acceleration + acceleration.new_tensor([0.0, 0.0, GRAVITY])
+    return rotate_back(state.rotation, acceleration)
+
+
+PROPRIO: dict[str, Callable[[RidingState, Readings], Tensor]] = {
+    "acceleration": body_acceleration,
+    "angular_velocity": lambda state, _: state.angular_velocity,
+    "orientation": lambda state, _: state.euler[:, :2],
+    "joint_position": lambda state, _: state.joint_position,
+    "joint_velocity": lambda state, _: state.joint_velocity,
+}
+"""o_m = [v̇_B, ω_B, θ_xy, q, q̇] by component."""
+
+EXTRINSIC: dict[str, Callable[[RidingState], Tensor]] = {
+    "contacts": lambda state: state.contacts,
+    "body_velocity": lambda state: rotate_back(state.rotation, state.velocity),
+    "platform_velocity": lambda state: rotate_back(state.rotation, state.platform_velocity),
+    "platform_angular_velocity": lambda state: rotate_back(state.rotation, state.platform_angular_velocity),
+    "relative_position": lambda state: relative_position(state),
+    "relative_yaw": lambda state: relative_yaw(state),
+}
+"""x_ext = [c, v_B, v_P, ω_P, p_B,xy in P, θ_B,z in P] by component (Table V's order)."""
+
+
+def relative_position(state: RidingState) -> Tensor:
+    """Position of the body in the platform frame, horizontal part, m, (N, 2)."""
+    return rotate_back(state.platform_rotation, state.position - state.platform_position)[:, :2]
+
+
+def relative_yaw(state: RidingState) -> Tensor:
+    """Heading of the body relative to the platform, rad, (N, 1)."""
+    return wrap(state.euler[:, 2:] - state.platform_euler[:, 2:])
+
+
+def proprio(state: RidingState, previous_action: Tensor, readings: Readings) -> Tensor:
+    """o_t without the command: o_m and a_{t-1}.
+
+    Args:
+        state: N robots.
+        previous_action: a_{t-1}, (N, 12), as the policy gave it.
+        readings: A18.
+
+    Returns:
+        (N, 32 + 12), raw SI units.
+    """
+    return torch.cat([*(component(state, readings) for component in PROPRIO.values()), previous_action], -1)
+
+
+def extrinsic(state: RidingState) -> Tensor:
+    """x_ext, (N, 16), raw SI units."""
+    return torch.cat([component(state) for component in EXTRINSIC.values()], -1)

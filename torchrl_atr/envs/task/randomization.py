@@ -1,0 +1,129 @@
+"""Table II: the intrinsic parameters x_int, their ranges, and their translation into physical units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.physics.engine import PhysicalParameters
+from torchrl_atr.envs.profiles import Readings
+
+Randomization = Literal["train", "test", "off"]
+RANDOMIZATIONS: tuple[Randomization, ...] = ("train", "test", "off")
+_MIN_MASS_SHARE = 0.1
+"""A platform never gets lighter than this share of its nominal mass (A14)."""
+
+
+@dataclass(frozen=True)
+class IntrinsicParameter:
+    """One row of Table II.
+
+    Attributes:
+        size: number of components; ``"joints"`` for one per leg joint.
+        train: training range.
+        test: testing range.
+        nominal: the value without randomisation.
+        ratio: the range multiplies a nominal of the robot or the deck (A13), instead of being the value.
+    """
+
+    size: int | Literal["joints"]
+    train: tuple[float, float]
+    test: tuple[float, float]
+    nominal: float
+    ratio: bool = False
+
+    def scaled(self, value: Tensor) -> Tensor:
+        """Maps the training range to [-1, 1]."""
+        low, high = self.train
+        return (2.0 * value - low - high) / (high - low)
+
+    def unscaled(self, scaled: Tensor) -> Tensor:
+        """Inverse of :meth:`scaled`."""
+        low, high = self.train
+        return low + (scaled + 1.0) * (high - low) / 2.0
+
+
+INTRINSICS: dict[str, IntrinsicParameter] = {
+    "payload": IntrinsicParameter(1, (0.0, 1.0), (0.0, 3.0), 0.0),
+    "com_shift": IntrinsicParameter(3, (-0.2, 0.2), (-0.25, 0.25), 0.0),
+    "kp": IntrinsicParameter("joints", (0.9, 1.1), (0.8, 1.2), 1.0, ratio=True),
+    "kd": IntrinsicParameter("joints", (0.8, 1.2), (0.6, 1.4), 1.0, ratio=True),
+    "platform_mass": IntrinsicParameter(1, (-0.5, 0.5), (-1.0, 1.0), 0.0),
+    "friction": IntrinsicParameter(1, (0.8, 1.2), (0.7, 1.5), 1.0),
+    "sb_stiffness": IntrinsicParameter(2, (0.8 / 1.15, 1.5 / 1.15), (0.5 / 1.15, 2.0 / 1.15), 1.0, ratio=True),
+    "sb_damping": IntrinsicParameter(2, (0.8, 1.2), (0.4, 2.0), 1.0, ratio=True),
+}
+"""x_int by name in Table II's order; the self-balancing gains 0.8-1.5 and 0.02-0.03 are ratios of their midpoints."""
+
+
+def intrinsic_slices(joints: int) -> dict[str, slice]:
+    """Where each parameter stands in x_int for a robot with ``joints`` leg joints."""
+    slices, start = {}, 0
+    for name, parameter in INTRINSICS.items():
+        size = joints if parameter.size == "joints" else int(parameter.size)
+        slices[name] = slice(start, start + size)
+        start += size
+    return slices
+
+
+def sample_intrinsics(n: int, joints: int, randomization: Randomization, generator: torch.Generator) -> Tensor:
+    """Draws x_int for n robots.
+
+    Args:
+        n: how many.
+        joints: leg joints of the robot.
+        randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"`` for the nominal values.
+        generator: source of randomness.
+
+    Returns:
+        (n, 34) float32, each component scaled so that its training range is [-1, 1].
+
+    Raises:
+        ValueError: for another ``randomization``.
+
+    Example:
+        >>> x = sample_intrinsics(2, 12, "train", torch.Generator().manual_seed(0))
+        >>> x.shape, bool((x.abs() <= 1).all())
+        (torch.Size([2, 34]), True)
+    """
+    if randomization not in RANDOMIZATIONS:
+        raise ValueError(f"unknown randomization {randomization!r}; choose one of {', '.join(RANDOMIZATIONS)}")
+    slices = intrinsic_slices(joints)
+    low, high = torch.empty(2, sum(s.stop - s.start for s in slices.values()))
+    for name, parameter in INTRINSICS.items():
+        bounds = (parameter.nominal,) * 2 if randomization == "off" else getattr(parameter, randomization)
+        ends = parameter.scaled(torch.tensor(bounds))
+        low[slices[name]], high[slices[name]] = ends[0], ends[1]
+    return low + (high - low) * torch.rand(n, len(low), generator=generator)
+
+
+def physical_parameters(x_int: Tensor, scene: Scene, readings: Readings) -> PhysicalParameters:
+    """What x_int means in physical units for this robot and deck.
+
+    Args:
+        x_int: (n, 34), scaled as :func:`sample_intrinsics` returns it.
+        scene: nominal gains and masses.
+        readings: the unit of the self-balancing gains (A12).
+    """
+    robot, deck = scene.robot, scene.transporter
+    slices = intrinsic_slices(len(robot.joints))
+    value: Callable[[str], np.ndarray] = lambda name: (  # noqa: E731
+        INTRINSICS[name].unscaled(x_int[:, slices[name]].double()).numpy()
+    )
+    mass = np.maximum(deck.mass + value("platform_mass")[:, 0], _MIN_MASS_SHARE * deck.mass)
+    return PhysicalParameters(
+        payload=value("payload")[:, 0],
+        com_shift=value("com_shift"),
+        kp=value("kp") * robot.kp,
+        kd=value("kd") * robot.kd,
+        platform_mass=mass,
+        friction=value("friction")[:, 0],
+        sb_stiffness=value("sb_stiffness") * np.array(deck.sb_stiffness) * readings.sb_unit,
+        sb_damping=value("sb_damping") * np.array(deck.sb_damping) * readings.sb_unit,
+    )

@@ -1,0 +1,65 @@
+"""Rotations over batches of tensors: quaternions (w, x, y, z), rotation matrices, XYZ Euler angles."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
+    """Rotation matrices of unit quaternions (w, x, y, z).
+
+    Args:
+        quaternion: (*B, 4).
+
+    Returns:
+        (*B, 3, 3), body to world.
+    """
+    w, x, y, z = quaternion.unbind(-1)
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+
+
+def euler_from_matrix(rotation: Tensor) -> Tensor:
+    """Roll, pitch and yaw of R = Rz(yaw) Ry(pitch) Rx(roll), rad.
+
+    Args:
+        rotation: (*B, 3, 3).
+
+    Returns:
+        (*B, 3).
+    """
+    roll = torch.atan2(rotation[..., 2, 1], rotation[..., 2, 2])
+    pitch = torch.asin(rotation[..., 2, 0].neg().clamp(-1.0, 1.0))
+    yaw = torch.atan2(rotation[..., 1, 0], rotation[..., 0, 0])
+    return torch.stack([roll, pitch, yaw], -1)
+
+
+def matrix_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
+    """Rz(yaw) Ry(pitch) Rx(roll), (*B, 3, 3), from angles in rad of shape (*B,)."""
+    (cr, sr), (cp, sp), (cy, sy) = ((torch.cos(a), torch.sin(a)) for a in (roll, pitch, yaw))
+    rows = [
+        cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
+        sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr,
+        -sp, cp * sr, cp * cr,
+    ]  # fmt: skip
+    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+
+
+def rotate(rotation: Tensor, vector: Tensor) -> Tensor:
+    """R v: body to world for (*B, 3, 3) and (*B, 3)."""
+    return (rotation * vector.unsqueeze(-2)).sum(-1)
+
+
+def rotate_back(rotation: Tensor, vector: Tensor) -> Tensor:
+    """Rᵀ v: world to body for (*B, 3, 3) and (*B, 3)."""
+    return (rotation * vector.unsqueeze(-1)).sum(-2)
+
+
+def wrap(angle: Tensor) -> Tensor:
+    """The angle in (-π, π]."""
+    return torch.atan2(torch.sin(angle), torch.cos(angle))

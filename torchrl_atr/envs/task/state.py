@@ -1,0 +1,177 @@
+"""The riding state: the physical quantities that observations, rewards and terminations are functions of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchrl_atr.envs.models.scene import DECK_HEIGHT, TIMESTEP, Scene
+from torchrl_atr.envs.physics.engine import DECIMATION, Engine
+from torchrl_atr.envs.task.rotations import euler_from_matrix, matrix_from_euler, matrix_from_quaternion, rotate
+
+CONTROL_DT = TIMESTEP * DECIMATION
+"""Control period, s (50 Hz)."""
+CONTACT_THRESHOLD = 1.0
+"""Force above which something touches, N (reading A35)."""
+GRAVITY = 9.81
+Rows = NDArray[np.int64] | slice
+"""Which robots of a batch: row numbers, or all of them."""
+
+
+@dataclass
+class RidingState:
+    """One batch of N robots after a control step, float32, world frame unless the name says otherwise.
+
+    Accelerations are differences over the control step (A32): what a low-passed IMU reports, free of solver spikes.
+
+    Attributes:
+        position, velocity, acceleration: of the body B's frame origin, (N, 3).
+        rotation: body to world, (N, 3, 3).
+        euler: roll, pitch, yaw of the body, (N, 3).
+        angular_velocity: ω_B in the body frame, (N, 3).
+        joint_position, joint_velocity, joint_acceleration, torque: q, q̇, q̈, τ in the spec's order, (N, 12).
+        platform_position, platform_velocity, platform_acceleration: of the pivot P, (N, 3).
+        platform_rotation: (N, 3, 3); platform_euler: (N, 3).
+        platform_angular_velocity, platform_angular_acceleration: world frame, (N, 3).
+        speeds: the drive law's forward speed and yaw rate in P_planar, (N, 2).
+        foot_position, foot_force: (N, 4, 3); forces act on the foot.
+        other_force: contact force on the rest of the robot, (N, 3).
+        com: the robot's centre of mass, (N, 3).
+    """
+
+    position: Tensor
+    velocity: Tensor
+    acceleration: Tensor
+    rotation: Tensor
+    euler: Tensor
+    angular_velocity: Tensor
+    joint_position: Tensor
+    joint_velocity: Tensor
+    joint_acceleration: Tensor
+    torque: Tensor
+    platform_position: Tensor
+    platform_velocity: Tensor
+    platform_acceleration: Tensor
+    platform_rotation: Tensor
+    platform_euler: Tensor
+    platform_angular_velocity: Tensor
+    platform_angular_acceleration: Tensor
+    speeds: Tensor
+    foot_position: Tensor
+    foot_force: Tensor
+    other_force: Tensor
+    com: Tensor
+
+    @property
+    def foot_load(self) -> Tensor:
+        """Magnitude of each foot's contact force, N, (N, 4)."""
+        return self.foot_force.norm(dim=-1)
+
+    @property
+    def contacts(self) -> Tensor:
+        """Contact indicators c_i as 0 or 1, (N, 4)."""
+        return (self.foot_load > CONTACT_THRESHOLD).to(self.foot_force.dtype)
+
+
+@dataclass
+class Velocities:
+    """What the next state differentiates: read at the end of a control step."""
+
+    body: Tensor
+    joint: Tensor
+    platform: Tensor
+    platform_angular: Tensor
+
+
+class StateReader:
+    """Reads a :class:`RidingState` out of an engine: one cast per array, and differences to the previous reading.
+
+    Args:
+        engine: either engine.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        layout = engine.scene.layout
+        self._joint_qpos = torch.as_tensor(layout.joint_qpos, dtype=torch.long)
+        self._joint_dof = torch.as_tensor(layout.joint_dof, dtype=torch.long)
+        self._actuators = torch.as_tensor(layout.actuators, dtype=torch.long)
+        self._previous = self._velocities(slice(None))
+
+    def forget(self, rows: Rows = slice(None)) -> None:
+        """Starts the differences of ``rows`` anew from the present state (after a reset or a restored state)."""
+        for name, value in vars(self._velocities(rows)).items():
+            getattr(self._previous, name)[rows] = value
+
+    def _velocities(self, rows: Rows) -> Velocities:
+        layout = self.engine.scene.layout
+        qpos, qvel = _float(self.engine.qpos[rows]), _float(self.engine.qvel[rows])
+        root, planar = layout.root_dof, int(layout.planar_dof[0])
+        return Velocities(
+            body=qvel[:, root : root + 3],
+            joint=qvel[:, self._joint_dof],
+            platform=torch.cat([qvel[:, planar : planar + 2], qvel.new_zeros(len(qvel), 1)], -1),
+            platform_angular=_hinge_rates(qpos, qvel, self.engine.scene),
+        )
+
+    def read(self, rows: Rows = slice(None)) -> RidingState:
+        """The state of ``rows`` now; accelerations are differences to their previous reading."""
+        engine, layout = self.engine, self.engine.scene.layout
+        qpos, qvel = _float(engine.qpos[rows]), _float(engine.qvel[rows])
+        sensors = _float(engine.sensordata[rows])
+        now = self._velocities(rows)
+        rates = {
+            name: (value - getattr(self._previous, name)[rows]) / CONTROL_DT for name, value in vars(now).items()
+        }
+        for name, value in vars(now).items():
+            getattr(self._previous, name)[rows] = value
+        root, planar = layout.root_qpos, int(layout.planar_qpos[0])
+        pitch, roll = (qpos[:, int(i)] for i in layout.tilt_qpos)
+        yaw = qpos[:, planar + 2]
+        rotation = matrix_from_quaternion(qpos[:, root + 3 : root + 7])
+        # contact sensors give the force on the deck; the feet feel the opposite
+        foot_force = sensors[:, layout.sensors["foot_force"]].neg().unflatten(-1, (-1, 3))
+        robot_force = sensors[:, layout.sensors["robot_force"]].neg()
+        return RidingState(
+            position=qpos[:, root : root + 3],
+            velocity=now.body,
+            acceleration=rates["body"],
+            rotation=rotation,
+            euler=euler_from_matrix(rotation),
+            angular_velocity=qvel[:, layout.root_dof + 3 : layout.root_dof + 6],
+            joint_position=qpos[:, self._joint_qpos],
+            joint_velocity=now.joint,
+            joint_acceleration=rates["joint"],
+            torque=_float(engine.actuator_force[rows])[:, self._actuators],
+            platform_position=torch.cat([qpos[:, planar : planar + 2], torch.full_like(qpos[:, :1], DECK_HEIGHT)], -1),
+            platform_velocity=now.platform,
+            platform_acceleration=rates["platform"],
+            platform_rotation=matrix_from_euler(roll, pitch, yaw),
+            platform_euler=torch.stack([roll, pitch, yaw], -1),
+            platform_angular_velocity=now.platform_angular,
+            platform_angular_acceleration=rates["platform_angular"],
+            speeds=_float(engine.speeds[rows]),
+            foot_position=sensors[:, layout.sensors["foot_position"]].unflatten(-1, (-1, 3)),
+            foot_force=foot_force,
+            other_force=robot_force - foot_force.sum(-2),
+            com=sensors[:, layout.sensors["com"]],
+        )
+
+
+def _float(array: NDArray[np.float64]) -> Tensor:
+    return torch.tensor(array, dtype=torch.float32)
+
+
+def _hinge_rates(qpos: Tensor, qvel: Tensor, scene: Scene) -> Tensor:
+    """World angular velocity of the deck from its hinge rates: yaw about z, then pitch about y, then roll about x."""
+    layout = scene.layout
+    yaw, pitch = qpos[:, int(layout.planar_qpos[2])], qpos[:, int(layout.tilt_qpos[0])]
+    pitch_rate, roll_rate = (qvel[:, int(i)] for i in layout.tilt_dof)
+    local = torch.stack([torch.cos(pitch) * roll_rate, pitch_rate, -torch.sin(pitch) * roll_rate], -1)
+    world = rotate(matrix_from_euler(torch.zeros_like(yaw), torch.zeros_like(yaw), yaw), local)
+    world[:, 2] += qvel[:, int(layout.planar_dof[2])]
+    return world
