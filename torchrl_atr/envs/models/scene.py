@@ -201,7 +201,7 @@ def _inverse(permutation: np.ndarray) -> np.ndarray:
 
 
 def _layout(model: mujoco.MjModel, robot: RobotSpec) -> Layout:
-    joints = np.array([model.joint(name).id for name in robot.joints])
+    joints = np.array([model.joint(name).id for name in robot.joints], dtype=int)
     actuator_of_joint = {int(joint): i for i, joint in enumerate(model.actuator_trnid[:, 0])}
     root = model.body(robot.trunk).jntadr[0]
     planar = np.array([model.joint(name).id for name in PLANAR_JOINTS])
@@ -217,7 +217,7 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec) -> Layout:
         root_dof=int(model.jnt_dofadr[root]),
         joint_qpos=model.jnt_qposadr[joints],
         joint_dof=model.jnt_dofadr[joints],
-        actuators=np.array([actuator_of_joint[int(joint)] for joint in joints]),
+        actuators=np.array([actuator_of_joint[int(joint)] for joint in joints], dtype=int),
         planar_qpos=model.jnt_qposadr[planar],
         planar_dof=model.jnt_dofadr[planar],
         tilt_qpos=model.jnt_qposadr[tilt],

@@ -17,6 +17,17 @@ Array = NDArray[np.float64]
 DECIMATION = 4
 """Simulation substeps in a control step: 200 Hz and 50 Hz."""
 
+RANDOMIZED_FIELDS = (
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "actuator_gainprm",
+    "actuator_biasprm",
+    "geom_friction",
+    "jnt_stiffness",
+    "dof_damping",
+)
+"""Fields of the compiled model that differ between simulations."""
 _DIVERGED = [
     int(mujoco.mjtWarning.mjWARN_BADQPOS),
     int(mujoco.mjtWarning.mjWARN_BADQVEL),
@@ -59,10 +70,15 @@ class Engine(ABC):
 
     Attributes:
         qpos, qvel, ctrl, qfrc_applied: live state, (N, nq | nv | nu | nv), float64.
-        sensordata: after a control step, current; contact forces are those of the last substep.
+        time: live simulation time, s, (N,); MuJoCo starts it anew when it resets a diverged simulation.
+        warmstart: the solver's warm start, live, (N, nv): part of the state that bit-identical continuation needs.
+        sensordata: sensor readings, (N, nsensordata), current after a control step; contact forces are those of its last
+            substep.
+        actuator_force: joint torques of the last substep in MJCF actuator order, N m, (N, nu).
         speeds: the law's own state (v_f, ω_z), (N, 2).
         odometer: deck position in the world, m, (N, 2), since recentring keeps ``qpos`` near the origin.
-        diverged: simulations that MuJoCo reset during the last control step, (N,) bool.
+        diverged: simulations that MuJoCo reset or refused to step during the last :meth:`advance`, (N,) bool.
+        fields: live per-simulation values of the :data:`RANDOMIZED_FIELDS` of the compiled model, (N, ...) each.
     """
 
     scene: Scene
@@ -71,6 +87,11 @@ class Engine(ABC):
     qvel: Array
     ctrl: Array
     qfrc_applied: Array
+    time: Array
+    warmstart: Array
+    sensordata: Array
+    actuator_force: Array
+    fields: dict[str, Array]
 
     def __init__(self, scene: Scene, num_envs: int, readings: Readings) -> None:
         self.scene = scene
@@ -84,21 +105,6 @@ class Engine(ABC):
         self._planar_inertia = np.empty((num_envs, 3))
         self._refresh_deck(np.arange(num_envs), self._deck_mass)
 
-    @property
-    @abstractmethod
-    def sensordata(self) -> Array:
-        """Sensor readings, (N, nsensordata)."""
-
-    @property
-    @abstractmethod
-    def actuator_force(self) -> Array:
-        """Joint torques of the last substep in MJCF actuator order, N m, (N, nu)."""
-
-    @property
-    @abstractmethod
-    def warmstart(self) -> Array:
-        """The solver's warm start, live, (N, nv): part of the state that bit-identical continuation needs."""
-
     @abstractmethod
     def _substep(self, last: bool) -> None:
         """One simulation step; after the last one, position and velocity quantities must be current."""
@@ -108,30 +114,41 @@ class Engine(ABC):
         """Cumulative MuJoCo warning counts, (N, kinds)."""
 
     @abstractmethod
-    def _write_parameters(self, rows: NDArray[np.int64], parameters: PhysicalParameters) -> None:
-        """Writes Table II's parameters into the compiled fields of ``rows`` and refreshes derived constants."""
+    def _refresh_constants(self, rows: NDArray[np.int64]) -> None:
+        """Derives anew what MuJoCo computes from :attr:`fields` (``mj_setConst``)."""
 
     @abstractmethod
     def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
-        """Resets ``rows`` to the given state with ctrl = q0 and computes position and velocity quantities."""
+        """Resets ``rows`` to the given state with ctrl = q0 and computes all derived quantities, forces included."""
 
     @abstractmethod
     def forward(self) -> None:
-        """Recomputes position and velocity quantities from the state (after it was written from outside)."""
+        """Recomputes all derived quantities from the state (after it was written from outside)."""
 
     def step(self, targets: Array) -> None:
-        """One control step: ``DECIMATION`` x (law, planar force, simulation step).
+        """One control step: :meth:`command`, then ``DECIMATION`` substeps.
 
         Args:
             targets: joint targets in the spec's joint order, rad, (N, 12).
         """
+        self.command(targets)
+        self.advance(DECIMATION)
+
+    def command(self, targets: Array) -> None:
+        """Opens a control step: recentres and hands the PD controllers their targets, rad, (N, 12)."""
         self._recentre()
-        before = self._warnings()[:, _DIVERGED].copy()
         self.ctrl[:, self.scene.layout.actuators] = targets
-        for substep in range(DECIMATION):
+
+    def advance(self, substeps: int) -> None:
+        """``substeps`` x (law, planar force, simulation step); notes which simulations diverged."""
+        warned, expected = self._warnings()[:, _DIVERGED].copy(), self.time + substeps * TIMESTEP
+        for substep in range(substeps):
             self.prescribe()
-            self._substep(last=substep == DECIMATION - 1)
-        self.diverged = (self._warnings()[:, _DIVERGED] > before).any(axis=1)
+            self._substep(last=substep == substeps - 1)
+        # MuJoCo's own reset also zeroes the counts: a second divergence in a row shows in the time alone
+        self.diverged = (self._warnings()[:, _DIVERGED] > warned).any(axis=1)
+        self.diverged |= np.abs(self.time - expected) > 0.5 * TIMESTEP
+        self.speeds[self.diverged] = 0.0
 
     def prescribe(self) -> None:
         """Evaluates the law at the current tilt and applies the force that realises it within the coming substep."""
@@ -153,11 +170,30 @@ class Engine(ABC):
             parameters: for those rows.
         """
         self._write_parameters(rows, parameters)
+        self._refresh_constants(rows)
         self._refresh_deck(rows, parameters.platform_mass)
         self.speeds[rows] = 0.0
         self.odometer[rows] = 0.0
         self.diverged[rows] = False
         self._restart(rows, qpos, qvel)
+
+    def _write_parameters(self, rows: NDArray[np.int64], parameters: PhysicalParameters) -> None:
+        """Writes Table II's parameters into the compiled fields of ``rows``, always starting from the nominal model."""
+        model, layout, fields = self.scene.model, self.scene.layout, self.fields
+        trunk, deck = layout.trunk_body, layout.deck_body
+        trunk_mass = model.body_mass[trunk] + parameters.payload
+        for body, mass in ((trunk, trunk_mass), (deck, parameters.platform_mass)):
+            fields["body_mass"][rows, body] = mass
+            fields["body_inertia"][rows, body] = model.body_inertia[body] * (mass / model.body_mass[body])[:, None]
+        fields["body_ipos"][rows, trunk] = model.body_ipos[trunk] + parameters.com_shift
+        cells = np.ix_(rows, layout.actuators)
+        fields["actuator_gainprm"][(*cells, 0)] = parameters.kp
+        fields["actuator_biasprm"][(*cells, 1)] = -parameters.kp
+        fields["actuator_biasprm"][(*cells, 2)] = -parameters.kd
+        fields["geom_friction"][rows, layout.deck_geom, 0] = parameters.friction
+        # the scene lists pitch before roll, Table II roll before pitch
+        fields["jnt_stiffness"][np.ix_(rows, layout.tilt_joints)] = parameters.sb_stiffness[:, ::-1]
+        fields["dof_damping"][np.ix_(rows, layout.tilt_dof)] = parameters.sb_damping[:, ::-1]
 
     def _refresh_deck(self, rows: NDArray[np.int64], mass: Array) -> None:
         deck, armature = self.scene.transporter, self.scene.model.dof_armature[self.scene.layout.planar_dof]

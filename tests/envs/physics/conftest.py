@@ -1,0 +1,85 @@
+"""A rigid block on four ball feet in the robot's place: our deck and our engine, with a rider of known mechanics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from torchrl_atr.envs.models import TRANSPORTERS, RobotSpec, Scene, build_scene
+from torchrl_atr.envs.physics import PhysicalParameters
+from torchrl_atr.envs.physics.batch import BatchEngine
+from torchrl_atr.envs.profiles import Readings
+
+MASS = 12.0
+CENTRE = 0.05
+"""Height of the block's centre of mass above its soles, m."""
+_BLOCK = f"""
+<mujoco model="block"><worldbody><body name="trunk"><freejoint/>
+  <inertial pos="0 0 0" mass="{MASS}" diaginertia="0.2 0.2 0.2"/>
+  {"".join(
+      f'<geom name="{name}" type="sphere" size="0.02" pos="{x} {y} {0.02 - CENTRE}" contype="1" conaffinity="0" mass="0"/>'
+      f'<site name="{name}" pos="{x} {y} {0.02 - CENTRE}"/>'
+      for name, x, y in (("FR", 0.1, -0.1), ("RR", -0.1, -0.1), ("FL", 0.1, 0.1), ("RL", -0.1, 0.1))
+  )}
+</body></worldbody></mujoco>
+"""
+
+
+@pytest.fixture
+def block_scene(tmp_path: Path) -> Scene:
+    """The block on the single board."""
+    path = tmp_path / "block.xml"
+    path.write_text(_BLOCK)
+    robot = RobotSpec(
+        name="block",
+        mjcf=path,
+        trunk="trunk",
+        joints=(),
+        feet=("FR", "RR", "FL", "RL"),
+        q0=(),
+        kp=0.0,
+        kd=0.0,
+        action_scale=1.0,
+        standing_height=CENTRE,
+        min_height=0.0,
+        group="G1",
+    )
+    return build_scene(robot, TRANSPORTERS.get("single_board"))
+
+
+BlockEngine = Callable[..., BatchEngine]
+
+
+@pytest.fixture
+def block_engine(block_scene: Scene) -> BlockEngine:
+    """``make(xy=(0, 0), friction=1.0, level=False)``: one block standing still at ``xy`` on the deck.
+
+    ``level`` makes the tilt hinges so heavy and so stiff that the deck stays level.
+    """
+
+    def make(xy: tuple[float, float] = (0.0, 0.0), friction: float = 1.0, level: bool = False) -> BatchEngine:
+        model, layout, deck = block_scene.model, block_scene.layout, block_scene.transporter
+        if level:
+            model.dof_armature[layout.tilt_dof] = 1e3
+        engine = BatchEngine(block_scene, 1, Readings(), num_threads=1)
+        qpos = model.key_qpos[:1].copy()
+        qpos[0, layout.root_qpos : layout.root_qpos + 2] = xy
+        stiffness, damping = ((1e5, 1e5), (2e4, 2e4)) if level else (deck.sb_stiffness, deck.sb_damping)
+        unit = 1.0 if level else Readings().sb_unit
+        parameters = PhysicalParameters(
+            payload=np.zeros(1),
+            com_shift=np.zeros((1, 3)),
+            kp=np.zeros((1, 0)),
+            kd=np.zeros((1, 0)),
+            platform_mass=np.array([deck.mass]),
+            friction=np.array([friction]),
+            sb_stiffness=np.array([stiffness]) * unit,
+            sb_damping=np.array([damping]) * unit,
+        )
+        engine.reset(np.arange(1), qpos, np.zeros((1, model.nv)), parameters)
+        return engine
+
+    return make

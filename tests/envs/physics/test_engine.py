@@ -1,0 +1,255 @@
+"""Deck and engines against closed forms, invariants and each other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
+from torchrl_atr.envs.physics.batch import BatchEngine
+from torchrl_atr.envs.physics.dmc import DmControlEngine, RidingPhysics
+from torchrl_atr.envs.physics.engine import DECIMATION
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.riding import RidingEnv
+
+CONTROL_DT = 0.02
+STILL = np.zeros((1, 0))
+"""The block has no joints to command."""
+
+
+class Prescribed:
+    """A law that ramps both speeds at given rates up to a limit, whatever the tilt."""
+
+    def __init__(self, rates: tuple[float, float], limit: float = np.inf) -> None:
+        self.rates, self.limit = np.array(rates), limit
+
+    def __call__(self, speeds, tilt, scale, dt):
+        return np.clip(speeds + dt * self.rates, -self.limit, self.limit)
+
+
+def relative(engine: BatchEngine) -> np.ndarray:
+    """Where the block stands in the yawing frame of the deck, m."""
+    layout, qpos = engine.scene.layout, engine.qpos[0]
+    offset = qpos[layout.root_qpos : layout.root_qpos + 2] - qpos[layout.planar_qpos[:2]]
+    cos, sin = np.cos(qpos[layout.planar_qpos[2]]), np.sin(qpos[layout.planar_qpos[2]])
+    return np.array([[cos, sin], [-sin, cos]]) @ offset
+
+
+def ride(engine: BatchEngine, steps: int) -> None:
+    for _ in range(steps):
+        engine.step(STILL)
+
+
+def test_weight_ahead_pitches_the_deck_and_drives_it_forward(block_engine):
+    engine = block_engine((0.06, 0.0))
+    ride(engine, 50)
+    pitch, roll = engine.qpos[0, engine.scene.layout.tilt_qpos]
+    speed, yaw_rate = engine.speeds[0]
+    assert pitch > 0.05
+    assert speed > 0.5
+    assert engine.odometer[0, 0] > 0.2
+    assert abs(roll) < 1e-9
+    assert abs(yaw_rate) < 1e-9
+
+
+@pytest.mark.parametrize("x", [0.06, -0.06])
+@pytest.mark.parametrize("y", [0.06, -0.06])
+def test_weight_at_a_corner_tilts_towards_it_and_turns_by_eq_3(block_engine, x, y):
+    engine = block_engine((x, y))
+    ride(engine, 50)
+    pitch, roll = engine.qpos[0, engine.scene.layout.tilt_qpos]
+    speed, yaw_rate = engine.speeds[0]
+    assert np.sign(pitch) == np.sign(x)  # nose down for a weight ahead
+    assert np.sign(roll) == -np.sign(y)  # left side down for a weight on the left
+    assert np.sign(speed) == np.sign(x)
+    assert np.sign(yaw_rate) == np.sign(x) * np.sign(y)
+    assert min(abs(pitch), abs(roll), abs(yaw_rate)) > 0.05
+
+
+def test_static_tilt_balances_weight_and_spring(block_engine):
+    engine = block_engine((0.02, 0.0))
+    engine.law = Prescribed((0.0, 0.0))
+    ride(engine, 250)
+    pitch = engine.qpos[0, engine.scene.layout.tilt_qpos[0]]
+    # the weight's horizontal lever about the pivot against the spring
+    assert 1.15 * 180 / np.pi * pitch == pytest.approx(12.0 * 9.81 * relative(engine)[0], rel=5e-3)
+    assert pitch > 0.03
+
+
+@pytest.mark.parametrize("axis", [0, 1], ids=["pitch", "roll"])
+def test_empty_deck_rings_down_as_stiffness_damping_and_inertia_say(block_engine, axis):
+    engine = block_engine()
+    layout, deck = engine.scene.layout, engine.scene.transporter
+    engine.qpos[0, layout.root_qpos + 2] = 500.0  # the block falls from afar and never arrives
+    engine.qpos[0, layout.tilt_qpos[axis]] = 0.1
+    states = []
+    for _ in range(75):
+        engine.step(STILL)
+        states.append([engine.qpos[0, layout.tilt_qpos[axis]], engine.qvel[0, layout.tilt_dof[axis]]])
+    # (θ, θ̇) one control step later is a matrix times (θ, θ̇); its eigenvalues are the damped oscillation
+    transition = np.linalg.lstsq(np.array(states[:-1]), np.array(states[1:]), rcond=None)[0]
+    root = np.log(np.linalg.eigvals(transition).astype(complex))[0] / CONTROL_DT
+    unit = 180 / np.pi
+    stiffness, damping, inertia = 1.15 * unit, 0.025 * unit, deck.inertia[1 - axis]
+    decay = damping / (2 * inertia)
+    frequency = np.sqrt(stiffness / inertia - decay**2)
+    assert abs(root.imag) == pytest.approx(frequency, rel=0.01)
+    assert root.real / abs(root.imag) == pytest.approx(-decay / frequency, rel=0.03)
+
+
+def test_block_on_a_level_deck_at_three_metres_per_second_squared_creeps_below_two_millimetres(block_engine):
+    engine = block_engine(level=True)
+    ride(engine, 10)
+    engine.law = Prescribed((3.0, 0.0))
+    ride(engine, 49)
+    before = relative(engine)
+    ride(engine, 1)
+    assert engine.speeds[0, 0] == pytest.approx(3.0)
+    assert abs(relative(engine) - before).max() / CONTROL_DT < 2e-3
+
+
+@pytest.mark.parametrize(("share", "slides"), [(0.65, False), (1.05, True)])
+def test_block_on_a_turning_deck_slides_when_friction_cannot_hold_it(block_engine, share, slides):
+    # a pyramidal friction cone holds between mu / sqrt(2) and mu, by direction: sure below 0.7, gone above 1
+    radius, friction = 0.2, 0.3
+    rate = np.sqrt(share * friction * 9.81 / radius)
+    engine = block_engine((radius, 0.0), friction=friction, level=True)
+    engine.law = Prescribed((0.0, 2.0), limit=rate)
+    ride(engine, int(rate / 2.0 / CONTROL_DT) + 1)
+    before = relative(engine)
+    ride(engine, 50)
+    moved = np.linalg.norm(relative(engine) - before)
+    assert moved > 0.2 if slides else moved < 0.01
+
+
+def test_random_actions_of_the_rider_hardly_move_the_prescribed_motion():
+    env = RidingEnv(num_envs=8, seed=0, num_threads=1, pushes=False)
+    engine, layout = env.engine, env.scene.layout
+    generator, td, worst = torch.Generator().manual_seed(0), env.reset(), 0.0
+    riding = np.ones(8, dtype=bool)
+    for _ in range(50):
+        td["action"] = 0.5 * torch.randn(8, 12, generator=generator)
+        td = env.step(td)["next"]
+        riding &= ~td["done"][:, 0].numpy()
+        speed, yaw = engine.speeds[:, :1], engine.qpos[:, layout.planar_qpos[2:]]
+        target = speed * np.concatenate([np.cos(yaw), np.sin(yaw)], -1)
+        error = np.abs(engine.qvel[:, layout.planar_dof[:2]] - target).max(-1)
+        worst = max(worst, error[riding].max())
+    assert riding.sum() >= 4
+    assert 0.0 < worst < 1e-3
+
+
+def test_results_do_not_depend_on_the_number_of_threads():
+    def trajectory(threads: int) -> TensorDict:
+        env = RidingEnv(num_envs=5, seed=3, num_threads=threads)
+        generator = torch.Generator().manual_seed(0)
+        td, kept = env.reset(), []
+        for step in range(30):
+            td["action"] = 0.8 * torch.randn(5, 12, generator=generator)
+            if step == 10:
+                env.engine.qpos[2, env.scene.layout.root_qpos] += 1.0  # off the deck: its episode ends
+            td, following = env.step_and_maybe_reset(td)
+            kept.append(td)
+            td = following
+        return torch.stack(kept)
+
+    one, two = trajectory(1), trajectory(2)
+    assert one["next", "done"][10, 2]
+    assert one["next", "speeds"].abs().max() > 0.05
+    assert (one == two).all()
+
+
+def test_both_engines_give_the_same_trajectory_recentring_included():
+    batch = RidingEnv(num_envs=1, seed=0, num_threads=1, pushes=False)
+    reference = RidingEnv(num_envs=1, seed=9, physics="dm_control", pushes=False)
+    batch.engine.speeds[:] = [[2.0, 0.4]]
+    reference.set_state(batch.get_state())
+    generator = torch.Generator().manual_seed(1)
+    for _ in range(200):
+        targets = np.array(batch.scene.robot.q0) + 0.05 * torch.randn(1, 12, generator=generator).numpy()
+        batch.engine.step(targets)
+        reference.engine.step(targets)
+        theirs = reference.engine.get_state()
+        for name, value in batch.engine.get_state().items():
+            np.testing.assert_allclose(value, theirs[name], atol=1e-9, rtol=0, err_msg=name)
+    np.testing.assert_allclose(batch.engine.sensordata, reference.engine.sensordata, atol=1e-6)
+    np.testing.assert_allclose(batch.engine.actuator_force, reference.engine.actuator_force, atol=1e-6)
+    assert np.linalg.norm(batch.engine.odometer) > 2.0
+    assert np.abs(batch.engine.qpos[0, batch.scene.layout.planar_qpos[:2]]).max() < 0.5
+
+
+def test_both_engines_emit_the_same_steps():
+    batch = RidingEnv(num_envs=1, seed=0, num_threads=1, pushes=False)
+    reference = RidingEnv(num_envs=1, seed=9, physics="dm_control", pushes=False)
+    reference.set_state(batch.get_state())
+    batch.set_state(batch.get_state())
+    for _ in range(5):
+        action = TensorDict({"action": torch.full((1, 12), 0.2)}, [1])
+        ours, theirs = (env.step(action.clone())["next"] for env in (batch, reference))
+        for key in ours.keys(True, True):
+            torch.testing.assert_close(ours[key], theirs[key], atol=1e-5, rtol=0)
+
+
+def test_recentring_changes_nothing_but_the_origin():
+    env = RidingEnv(num_envs=2, seed=0, num_threads=1, pushes=False)
+    td = env.reset()
+    layout, engine = env.scene.layout, env.engine
+    for columns in (layout.planar_qpos[:2], [layout.root_qpos, layout.root_qpos + 1]):
+        engine.qpos[1, columns] = engine.qpos[0, columns] + [3.0, -7.0]
+    rest = np.setdiff1d(
+        np.arange(engine.qpos.shape[1]), [*layout.planar_qpos[:2], layout.root_qpos, layout.root_qpos + 1]
+    )
+    engine.qpos[1, rest] = engine.qpos[0, rest]
+    for name, field in engine.fields.items():
+        field[1] = field[0]
+        assert (field[1] == field[0]).all(), name
+    engine.batch.set_const(np.arange(2))
+    engine._refresh_deck(np.arange(2), np.repeat(engine._deck_mass[:1], 2))
+    for _ in range(30):
+        td["action"] = torch.full((2, 12), 0.05)
+        td = env.step(td)["next"]
+    np.testing.assert_allclose(engine.odometer[1] - engine.odometer[0], [3.0, -7.0], atol=1e-9)
+    np.testing.assert_allclose(engine.qpos[1], engine.qpos[0], atol=1e-9)
+
+
+def test_dm_control_engine_keeps_the_scene_as_it_is():
+    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+    nominal = {name: getattr(scene.model, name).copy() for name in ("body_mass", "jnt_stiffness", "geom_friction")}
+    first, second = DmControlEngine(scene, Readings()), DmControlEngine(scene, Readings())
+    first.fields["body_mass"][0, scene.layout.trunk_body] += 1.0
+    assert first.physics.model.body_mass[scene.layout.trunk_body] == pytest.approx(5.0)
+    assert second.physics.model.body_mass[scene.layout.trunk_body] == pytest.approx(4.0)
+    for name, value in nominal.items():
+        np.testing.assert_array_equal(getattr(scene.model, name), value)
+
+
+def test_dm_control_physics_obeys_the_law_by_itself():
+    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+    ours, theirs = (DmControlEngine(scene, Readings()) for _ in range(2))
+    for engine in (ours, theirs):
+        engine.speeds[:] = [[1.0, 0.3]]
+        engine.command(np.array([scene.robot.q0]))
+    ours.advance(DECIMATION)
+    theirs.physics.step(DECIMATION)
+    np.testing.assert_array_equal(ours.qpos, theirs.physics.data.qpos[None])
+    assert theirs.qvel[0, scene.layout.planar_dof[0]] == pytest.approx(1.0, abs=0.01)
+
+
+def test_physics_without_an_engine_refuses_to_step():
+    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+    copied = DmControlEngine(scene, Readings()).physics.copy()
+    assert isinstance(copied, RidingPhysics)
+    with pytest.raises(RuntimeError, match="no drive law"):
+        copied.step()
+
+
+@pytest.mark.parametrize("name", ["batch", "dm_control"])
+def test_set_state_names_what_is_wrong(name):
+    env = RidingEnv(num_envs=1, physics=name, seed=0)
+    state = env.engine.get_state()
+    with pytest.raises(KeyError, match="warmstart"):
+        env.engine.set_state({key: value for key, value in state.items() if key != "warmstart"})
+    with pytest.raises(ValueError, match="qvel"):
+        env.engine.set_state({**state, "qvel": state["qvel"][:, 1:]})

@@ -1,0 +1,123 @@
+"""The drive law against closed forms: Eqs. 1 and 3, and the readings A9-A11."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from torchrl_atr.envs.models import TRANSPORTERS
+from torchrl_atr.envs.physics import DriveLaw
+from torchrl_atr.envs.physics.law import drive, resistance
+from torchrl_atr.envs.profiles import Readings, get_readings
+
+DECK = TRANSPORTERS.get("single_board")
+DT = 0.005
+
+
+def law(**readings: object) -> DriveLaw:
+    return DriveLaw(DECK, get_readings("default", **readings))
+
+
+def run(model: DriveLaw, tilt: tuple[float, float], speeds: tuple[float, float], steps: int, dt: float = DT):
+    """Speeds after ``steps`` at a fixed (pitch, roll)."""
+    now, scale = np.array([speeds]), model.mass_scale(np.array([DECK.mass]))
+    for _ in range(steps):
+        now = model(now, np.array([tilt]), scale, dt)
+    return now[0]
+
+
+def steady(push: float) -> float:
+    """The positive root of 0.2 + 0.05 v + 0.005 v² = push."""
+    roots = np.roots([0.005, 0.05, 0.2 - push])
+    return float(roots[np.isreal(roots) & (roots.real > 0)].real[0])
+
+
+@pytest.mark.parametrize("pitch", [0.05, 0.2, -0.2, 0.5])
+def test_steady_speed_balances_drive_and_resistance(pitch):
+    expected = np.sign(pitch) * steady(12.0 * abs(pitch) / 0.78)
+    assert run(law(), (pitch, 0.0), (0.0, 0.0), 1000, dt=0.3)[0] == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("pitch", [0.3, -0.3])
+@pytest.mark.parametrize("roll", [0.2, -0.2])
+def test_steady_yaw_rate_has_the_sign_of_eq_3(pitch, roll):
+    expected = np.sign(pitch) * np.sign(-roll) * steady(3.0 * abs(roll) / 0.78)
+    assert run(law(), (pitch, roll), (0.0, 0.0), 1000, dt=0.3)[1] == pytest.approx(expected, rel=1e-6)
+
+
+def test_drive_peaks_at_twelve_and_three_and_saturates():
+    for tilt in (0.78, 1.2):
+        forward, yaw = drive(np.array([tilt]), np.array([-tilt]), DECK, Readings())
+        assert (forward[0], yaw[0]) == pytest.approx((12.0, 3.0))
+
+
+def test_from_rest_the_net_peaks_are_eleven_point_eight_and_two_point_eight():
+    assert run(law(), (0.78, -0.78), (0.0, 0.0), 1) / DT == pytest.approx([11.8, 2.8])
+
+
+def test_sign_of_zero_pitch_is_one():
+    assert drive(np.zeros(1), np.array([-0.78]), DECK, Readings())[1][0] == pytest.approx(3.0)
+
+
+def test_mirrored_tilts_and_speeds_mirror_the_motion():
+    rng = np.random.default_rng(0)
+    tilt, speeds = rng.uniform(-0.9, 0.9, (200, 2)), rng.uniform(-5.0, 5.0, (200, 2))
+    for model in (law(), law(coulomb_smoothing=0.5, steering_smoothing=0.05)):
+        scale = model.mass_scale(np.full(200, DECK.mass))
+        forward = model(speeds, tilt, scale, DT)
+        np.testing.assert_allclose(model(-speeds, tilt * [-1, 1], scale, DT), -forward, atol=1e-12)
+
+
+def test_resistance_is_odd_by_default_and_even_as_printed():
+    x = np.linspace(0.1, 15.0, 40)
+    odd, literal = Readings(), get_readings("literal")
+    np.testing.assert_allclose(resistance(x, DECK.resistance, odd), 0.2 + 0.05 * x + 0.005 * x * x)
+    np.testing.assert_allclose(resistance(-x, DECK.resistance, odd), -resistance(x, DECK.resistance, odd))
+    np.testing.assert_allclose(resistance(-x, DECK.resistance, literal), 0.2 - 0.05 * x + 0.005 * x * x)
+
+
+def test_literal_resistance_pushes_backwards_at_rest():
+    model = DriveLaw(DECK, get_readings("literal"))
+    assert run(model, (0.0, 0.0), (0.0, 0.0), 1)[0] == pytest.approx(-0.2 * DT / DECK.mass)
+
+
+@pytest.mark.parametrize("start", [0.1, -0.1, 1e-4])
+def test_stiction_stops_the_motion_and_never_reverses_it(start):
+    speed, model = start, law()
+    for _ in range(120):
+        after = run(model, (0.0, 0.0), (speed, 0.0), 1)[0]
+        assert after * start >= 0.0
+        assert abs(after) <= abs(speed)
+        speed = after
+    assert speed == 0.0
+
+
+def test_stiction_holds_the_deck_below_its_threshold_and_lets_go_above():
+    threshold = 0.2 / 12.0 * 0.78
+    assert run(law(), (0.99 * threshold, 0.0), (0.0, 0.0), 100)[0] == 0.0
+    assert run(law(), (1.01 * threshold, 0.0), (0.0, 0.0), 100)[0] > 0.0
+
+
+def test_smoothed_coulomb_term_grows_from_zero():
+    readings = Readings(coulomb_smoothing=0.5)
+    assert resistance(np.zeros(1), DECK.resistance, readings)[0] == 0.0
+    expected = np.tanh(1.0 / 0.5) * 0.255
+    assert resistance(np.ones(1), DECK.resistance, readings)[0] == pytest.approx(expected)
+
+
+def test_smoothed_steering_sign_vanishes_at_zero_pitch():
+    yaw = drive(np.array([0.0, 0.05]), np.full(2, -0.78), DECK, Readings(steering_smoothing=0.05))[1]
+    assert yaw == pytest.approx([0.0, 3.0 * np.tanh(1.0)])
+
+
+def test_mass_is_relative_to_nominal_or_printed():
+    masses = np.array([DECK.mass, 2 * DECK.mass])
+    np.testing.assert_allclose(law().mass_scale(masses), [[1.0, 1.0], [0.5, 0.5]])
+    printed = DriveLaw(DECK, get_readings("literal")).mass_scale(masses)
+    inertia = 11.5 * (0.9**2 + 0.7**2) / 12
+    np.testing.assert_allclose(printed, [[1 / 11.5, 1 / inertia], [0.5 / 11.5, 0.5 / inertia]])
+
+
+def test_as_printed_the_nominal_deck_peaks_near_one():
+    model = DriveLaw(DECK, get_readings("literal"))
+    assert run(model, (0.78, 0.0), (0.0, 0.0), 1)[0] / DT == pytest.approx((12.0 - 0.2) / 11.5)

@@ -1,0 +1,42 @@
+"""Checkpoints survive a round trip, and damage is named."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from torchrl_atr.training import CheckpointError, load_checkpoint, save_checkpoint
+
+
+def test_round_trip_and_no_temporary_left(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    save_checkpoint(path, {"weights": torch.arange(3.0), "frames": 7, "nested": {"a": [1, 2]}})
+    state = load_checkpoint(tmp_path)
+    assert torch.equal(state["weights"], torch.arange(3.0))
+    assert (state["frames"], state["nested"]) == (7, {"a": [1, 2]})
+    assert [file.name for file in tmp_path.iterdir()] == ["checkpoint.pt"]
+
+
+def test_a_failed_save_leaves_the_old_checkpoint(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    save_checkpoint(path, {"frames": 1})
+    with pytest.raises((CheckpointError, AttributeError, TypeError)):
+        save_checkpoint(path, {"frames": lambda: 2})
+    assert load_checkpoint(path)["frames"] == 1
+
+
+@pytest.mark.parametrize("keep", [0, 10, 200])
+def test_truncated(tmp_path, keep):
+    path = tmp_path / "checkpoint.pt"
+    save_checkpoint(path, {"weights": torch.zeros(100)})
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(CheckpointError, match=r"checkpoint\.pt cannot be read, it may be truncated"):
+        load_checkpoint(path)
+
+
+def test_missing_and_foreign(tmp_path):
+    with pytest.raises(CheckpointError, match="there is no checkpoint at"):
+        load_checkpoint(tmp_path)
+    torch.save({"version": 99}, tmp_path / "checkpoint.pt")
+    with pytest.raises(CheckpointError, match="checkpoint version 99; this code reads version 1"):
+        load_checkpoint(tmp_path)

@@ -1,0 +1,77 @@
+"""The recipe end to end on a tiny run: it learns something, writes a readable folder, and goes on from it."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import pytest
+import torch
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from torchrl_atr.modules import available_estimators, register_estimator
+from torchrl_atr.modules.estimators import get_estimator
+from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
+
+TINY = {"num_envs": 8, "rollout_steps": 8, "total_frames": 3 * 64, "num_threads": 1, "minibatches": 2, "epochs": 2}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
+    metrics = []
+    Trainer(make_config(TINY), folder).train(metrics.append)
+    return folder, metrics
+
+
+def test_the_folder_is_readable(run):
+    folder, metrics = run
+    assert {"config.json", "checkpoint.pt", "progress.csv", "tensorboard"} <= {f.name for f in folder.iterdir()}
+    assert json.loads((folder / "config.json").read_text())["num_envs"] == 8
+    with (folder / "progress.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(float(row["frames"])) for row in rows] == [64, 128, 192]
+    assert {"speed_error", "yaw_error", "command_area", "latent_error", "extrinsic_error"} <= set(rows[0])
+    assert all(torch.isfinite(torch.tensor(list(m.values()))).all() for m in metrics)
+
+
+def test_the_checkpoint_restores_the_deployed_policy_bit_for_bit(run):
+    folder, _ = run
+    actions = []
+    for _ in range(2):
+        _, env, networks, _ = load_run(folder, num_envs=4, seed=3)
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            actions.append(env.rollout(3, networks.deployed_policy())["action"])
+    assert torch.equal(*actions)
+
+
+def test_resume_goes_on_where_the_run_stopped(run):
+    folder, _ = run
+    state = load_checkpoint(folder)
+    config = make_config({**state["config"], "total_frames": 5 * 64})
+    trainer = Trainer(config, folder, state)
+    moments = state["learner"]["optimizers"]["policy"]["state"][0]["exp_avg"]
+    assert torch.equal(trainer.learner.optimizers["policy"].state_dict()["state"][0]["exp_avg"], moments)
+    assert torch.equal(trainer.curriculum.weights, state["curriculum"]["weights"])
+    trainer.train()
+    with (folder / "progress.csv").open() as file:
+        assert [int(float(row["frames"])) for row in csv.DictReader(file)] == [64, 128, 192, 256, 320]
+    assert load_checkpoint(folder)["frames"] == 320
+
+
+@pytest.mark.parametrize("source", ["privileged", "estimated", "mixed"])
+def test_the_first_importance_ratio_is_one(tmp_path, source):
+    config = make_config({**TINY, "act_source": source, "total_frames": 64, "epochs": 1, "minibatches": 1})
+    metrics = []
+    Trainer(config, tmp_path / source).train(metrics.append)
+    assert abs(metrics[0]["mean_ratio"] - 1) < 1e-4
+    assert abs(metrics[0]["max_ratio"] - 1) < 1e-4
+
+
+def test_an_estimator_from_outside_trains(tmp_path):
+    if "outsider" not in available_estimators():
+        register_estimator("outsider", lambda history_shape, out_features: get_estimator("mlp")(history_shape, out_features))
+    trainer = Trainer(make_config({**TINY, "estimator": "outsider", "total_frames": 64}), tmp_path / "run")
+    before = [p.clone() for p in trainer.learner.networks.estimator_parameters()]
+    trainer.train()
+    assert any(not torch.equal(a, b) for a, b in zip(before, trainer.learner.networks.estimator_parameters()))

@@ -1,0 +1,209 @@
+"""``torchrl-atr``: train | evaluate | play | list."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from torchrl_atr import __version__
+
+_DEFAULT_RUN = Path("runs/latest")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The command line, every command with its help."""
+    parser = argparse.ArgumentParser(prog="torchrl-atr", description=__doc__)
+    parser.add_argument("--version", action="version", version=f"torchrl-atr {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True)
+    _add_train(commands.add_parser("train", help="learn to ride; go on from a run with --resume"))
+    _add_evaluate(commands.add_parser("evaluate", help="measure the deployed policy over a grid of commands"))
+    _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
+    listing = commands.add_parser("list", help="list what is registered")
+    listing.add_argument("what", choices=sorted(_LISTINGS))
+    return parser
+
+
+def _add_train(parser: argparse.ArgumentParser) -> None:
+    # names match TrainConfig's fields; None means "as the config file or the default says"
+    parser.add_argument("--robot")
+    parser.add_argument("--transporter")
+    parser.add_argument("--profile", help="how the paper's open points are read")
+    parser.add_argument("--estimator", help="a registered estimator")
+    parser.add_argument("--import", dest="imports", action="append", metavar="MODULE", help="import it first")
+    parser.add_argument("--num-envs", type=int)
+    parser.add_argument("--total-frames", type=float, help="robot steps, absolute")
+    parser.add_argument("--max-minutes", type=float, help="wall clock, earlier sessions of the run included")
+    parser.add_argument("--seed", type=int)
+    parser.add_argument("--device")
+    parser.add_argument("--config", type=Path, metavar="FILE", help=".toml or .json with any setting")
+    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--output", type=Path, default=_DEFAULT_RUN, metavar="RUN", help="the run folder")
+    parser.add_argument("--resume", type=Path, metavar="RUN", help="go on from this run's checkpoint")
+
+
+def _add_evaluate(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--output", type=Path, help="where the report goes; default: the run folder")
+    parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
+    parser.add_argument("--max-speed", type=float, default=2.0, help="m/s")
+    parser.add_argument("--max-yaw-rate", type=float, default=1.0, help="rad/s")
+    parser.add_argument("--speed-step", type=float, default=1.0)
+    parser.add_argument("--yaw-rate-step", type=float, default=0.25)
+    parser.add_argument("--robots-per-command", type=int, default=8)
+
+
+def _add_play(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--video", type=Path, help="write an .mp4 or .gif instead of opening a viewer")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--seed", type=int, default=0)
+
+
+def train(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr train``."""
+    from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config, read_config
+
+    if arguments.resume is not None:
+        state = load_checkpoint(arguments.resume)
+        values = dict(state["config"])
+        for name in ("total_frames", "max_minutes"):
+            if getattr(arguments, name) is not None:
+                values[name] = getattr(arguments, name)
+        Trainer(make_config(values), arguments.resume, state).train()
+        return
+    values = read_config(arguments.config) if arguments.config else {}
+    names = (
+        "robot transporter profile estimator imports num_envs total_frames max_minutes seed device".split()
+    )
+    values |= {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
+    config = make_config(values, arguments.overrides)
+    for module in config.imports:
+        try:
+            importlib.import_module(module)
+        except ImportError as error:
+            raise ConfigError(f"--import {module}: {error}") from error
+    config.check_estimator_name()
+    Trainer(config, arguments.output).train()
+
+
+def evaluate(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr evaluate``."""
+    from functools import partial
+
+    from torchrl_atr.evaluation import command_grid, tracking_metrics, evaluate_tracking, write_report
+    from torchrl_atr.training import load_run, make_env
+
+    config, env, networks, _ = load_run(arguments.run, num_envs=1)
+    env.close()
+    result = evaluate_tracking(
+        networks.deployed_policy(),
+        partial(make_env, config, randomization=arguments.randomization, pushes=False),
+        command_grid(
+            arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step
+        ),
+        robots_per_command=arguments.robots_per_command,
+        seed=arguments.seed,
+        encoder_module=networks.encoder_module,
+    )
+    output = arguments.output or arguments.run
+    metrics = tracking_metrics(result)
+    write_report(result, metrics, output)
+    for name in ("survival", "settled_speed_error_straight", "settled_speed_error", "settled_yaw_error", "yaw_slope"):
+        sys.stdout.write(f"{name}: {metrics[name]}\n")
+    sys.stdout.write(f"report in {output}\n")
+
+
+def play(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr play``."""
+    from torchrl_atr.evaluation import play_viewer, record_video
+    from torchrl_atr.training import load_run
+
+    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, pushes=False)
+    policy = networks.deployed_policy()
+    if arguments.video is None:
+        play_viewer(policy, env)
+    else:
+        record_video(policy, env, arguments.video, seconds=arguments.seconds)
+        sys.stdout.write(f"wrote {arguments.video}\n")
+
+
+def _list(arguments: argparse.Namespace) -> None:
+    for name in _LISTINGS[arguments.what]():
+        sys.stdout.write(f"{name}\n")
+
+
+def _robots() -> Sequence[str]:
+    from torchrl_atr.envs import ROBOTS
+
+    return ROBOTS.names()
+
+
+def _transporters() -> Sequence[str]:
+    from torchrl_atr.envs import TRANSPORTERS
+
+    return TRANSPORTERS.names()
+
+
+def _profiles() -> Sequence[str]:
+    from torchrl_atr.envs import PROFILES
+
+    return PROFILES.names()
+
+
+def _estimators() -> Sequence[str]:
+    from torchrl_atr.modules import available_estimators
+
+    return available_estimators()
+
+
+def _rewards() -> Sequence[str]:
+    from torchrl_atr.envs.task.rewards import REWARD_TERMS
+
+    return list(REWARD_TERMS)
+
+
+_LISTINGS = {
+    "robots": _robots,
+    "transporters": _transporters,
+    "profiles": _profiles,
+    "estimators": _estimators,
+    "rewards": _rewards,
+}
+_COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play, "list": _list}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command; bad input ends with one message and exit code 2."""
+    arguments = build_parser().parse_args(argv)
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    try:
+        _COMMANDS[arguments.command](arguments)
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped\n")
+        return 130
+    except (ValueError, KeyError, OSError, RuntimeError) as error:
+        if not _is_ours(error):
+            raise
+        message = error.args[0] if isinstance(error, KeyError) and error.args else error
+        sys.stderr.write(f"torchrl-atr {arguments.command}: {message}\n")
+        return 2
+    return 0
+
+
+def _is_ours(error: BaseException) -> bool:
+    """Whether the message was written for the user: it was raised by this package, not deep inside a library."""
+    traceback = error.__traceback__
+    while traceback is not None and traceback.tb_next is not None:
+        traceback = traceback.tb_next
+    module = traceback.tb_frame.f_globals.get("__name__", "") if traceback is not None else ""
+    return module.startswith("torchrl_atr") or isinstance(error, OSError)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,18 @@
+"""The riding task: robots on transporters as TorchRL envs, their transforms, and a dm_control suite."""
+
+from torchrl_atr.envs.factory import make_riding_env
+from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, RobotSpec, TransporterSpec
+from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings
+from torchrl_atr.envs.riding import RidingEnv
+
+__all__ = [
+    "PROFILES",
+    "ROBOTS",
+    "TRANSPORTERS",
+    "Readings",
+    "RidingEnv",
+    "RobotSpec",
+    "TransporterSpec",
+    "get_readings",
+    "make_riding_env",
+]

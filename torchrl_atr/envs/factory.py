@@ -1,0 +1,74 @@
+"""``make_riding_env``: the env with the standard transforms, picklable through ``functools.partial``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torchrl.envs import TransformedEnv
+
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.riding import PhysicsEngine, RidingEnv
+from torchrl_atr.envs.task.randomization import Randomization
+from torchrl_atr.envs.task.rewards import MAX_TRACKING
+from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.transforms import CommandGrid, riding_transforms
+
+
+def make_riding_env(
+    robot: str = "a1",
+    transporter: str = "single_board",
+    num_envs: int = 256,
+    *,
+    physics: PhysicsEngine = "batch",
+    randomization: Randomization = "train",
+    profile: str | Readings = "default",
+    num_threads: int | None = None,
+    pushes: bool = True,
+    seed: int | None = None,
+    history_length: int = 10,
+    max_steps: int = 1000,
+    window: int = 250,
+    grid: CommandGrid | None = None,
+    **curriculum: Any,
+) -> TransformedEnv:
+    """A :class:`RidingEnv` behind command curriculum, observation, history, time limit and episode reward.
+
+    Args:
+        robot, transporter, num_envs, physics, randomization, profile, num_threads, pushes: of :class:`RidingEnv`.
+        seed: of env and curriculum alike, since ``env.set_seed`` does not reach transforms.
+        history_length: H, past observations that the estimators read.
+        max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
+        window: control steps that a command lasts (5 s at 50 Hz).
+        grid: the curriculum's cells and update rule; None for the paper's.
+        **curriculum: further arguments of :class:`~torchrl_atr.envs.transforms.CommandCurriculum`.
+
+    Returns:
+        The transformed env; ``env.transform[0]`` is the curriculum.
+
+    Example:
+        >>> env = make_riding_env(num_envs=2, seed=0)
+        >>> env.rollout(2)["history"].shape
+        torch.Size([2, 2, 10, 46])
+    """
+    env = RidingEnv(
+        robot,
+        transporter,
+        num_envs,
+        physics=physics,
+        randomization=randomization,
+        profile=profile,
+        num_threads=num_threads,
+        pushes=pushes,
+        seed=seed,
+    )
+    dt = CONTROL_DT if env.readings.rewards_times_dt else 1.0
+    transforms = riding_transforms(
+        tuple(dt * value for value in MAX_TRACKING.values()),
+        history_length=history_length,
+        max_steps=max_steps,
+        window=window,
+        grid=grid,
+        seed=seed,
+        **curriculum,
+    )
+    return TransformedEnv(env, transforms)

@@ -1,0 +1,102 @@
+"""The dm_control engine: one robot on a ``dm_control.mujoco.Physics``, for reference, rendering and dm_control users."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import mujoco
+import numpy as np
+from dm_control.mujoco import Physics
+from dm_control.mujoco.wrapper import MjModel
+from numpy.typing import NDArray
+
+from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
+from torchrl_atr.envs.profiles import Readings
+
+
+class RidingPhysics(Physics):
+    """A dm_control ``Physics`` whose every step obeys the drive law, whoever calls it.
+
+    A simulation that diverges does not raise ``PhysicsError``: MuJoCo resets it, ``engine.diverged`` says so, and the
+    task ends the episode. Made by :class:`DmControlEngine`; a ``copy()`` renders but does not step.
+
+    Attributes:
+        engine: evaluates the law; set by the engine that owns this physics.
+    """
+
+    engine: DmControlEngine | None = None
+
+    def step(self, nstep: int = 1) -> None:
+        """Advances by ``nstep`` substeps of the law, the planar force and MuJoCo, and computes what depends on the state.
+
+        Raises:
+            RuntimeError: if no engine drives this physics.
+        """
+        if self.engine is None:
+            raise RuntimeError("this RidingPhysics has no drive law to step with; take the physics of a DmControlEngine")
+        self.engine.advance(nstep)
+
+    def after_reset(self) -> None:
+        """Computes all derived quantities, with the actuators on: an episode starts with ctrl = q0."""
+        mujoco.mj_forward(self.model.ptr, self.data.ptr)
+
+
+class DmControlEngine(Engine):
+    """One robot under the common interface; its arrays are (1, n) live views of dm_control's.
+
+    Args:
+        scene: the compiled scene; the engine randomises a copy of its model.
+        readings: the paper's open points.
+
+    Attributes:
+        physics: the dm_control physics.
+
+    Example:
+        >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
+        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+        >>> engine = DmControlEngine(scene, Readings())
+        >>> engine.step(np.array([scene.robot.q0]))
+        >>> round(float(engine.physics.data.time), 3)
+        0.02
+    """
+
+    def __init__(self, scene: Scene, readings: Readings) -> None:
+        super().__init__(scene, 1, readings)
+        self.physics: Any = RidingPhysics.from_model(MjModel(copy.copy(scene.model)))
+        self.physics.engine = self
+        self._model, self._data = self.physics.model.ptr, self.physics.data.ptr
+        data = self._data
+        self.qpos, self.qvel, self.ctrl = data.qpos[None], data.qvel[None], data.ctrl[None]
+        self.qfrc_applied = data.qfrc_applied[None]
+        self.warmstart = data.qacc_warmstart[None]
+        self.sensordata, self.actuator_force = data.sensordata[None], data.actuator_force[None]
+        self.fields = {name: getattr(self._model, name)[None] for name in RANDOMIZED_FIELDS}
+        rows = np.arange(1)
+        self._restart(rows, scene.model.key_qpos[:1], scene.model.key_qvel[:1])
+
+    @property
+    def time(self) -> Array:  # type: ignore[override]  # MuJoCo's scalar has no array to view
+        """See :class:`Engine`."""
+        return np.array([self._data.time])
+
+    def _substep(self, last: bool) -> None:
+        mujoco.mj_step(self._model, self._data)
+        if last:
+            mujoco.mj_step1(self._model, self._data)
+
+    def _warnings(self) -> NDArray[np.int64]:
+        return self._data.warning.number[None]
+
+    def _refresh_constants(self, rows: NDArray[np.int64]) -> None:
+        mujoco.mj_setConst(self._model, self._data)
+
+    def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
+        mujoco.mj_resetDataKeyframe(self._model, self._data, 0)
+        self.qpos[:], self.qvel[:] = qpos, qvel
+        self.forward()
+
+    def forward(self) -> None:
+        """See :class:`Engine`."""
+        mujoco.mj_forward(self._model, self._data)

@@ -1,0 +1,140 @@
+"""The riding task in dm_control's own terms: ``load(robot, transporter)`` gives an ordinary ``control.Environment``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from dm_control.rl import control
+from dm_env import specs
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
+from torchrl_atr.envs.physics.dmc import DmControlEngine, RidingPhysics
+from torchrl_atr.envs.physics.engine import DECIMATION
+from torchrl_atr.envs.profiles import Readings, get_readings
+from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
+from torchrl_atr.envs.task.randomization import Randomization
+
+
+def load(
+    robot: str = "a1",
+    transporter: str = "single_board",
+    *,
+    profile: str | Readings = "default",
+    randomization: Randomization = "train",
+    time_limit: float = 20.0,
+    pushes: bool = True,
+    random: int | np.random.RandomState | None = None,
+) -> control.Environment:
+    """One robot riding one transporter, through dm_control's API.
+
+    Args:
+        robot: name of a registered robot.
+        transporter: name of a registered transporter.
+        profile: name of a profile, or readings of your own.
+        randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
+        time_limit: s, after which the episode ends with discount 1.
+        pushes: whether robot and platform are pushed every 3 s.
+        random: a seed or a random state, as elsewhere in dm_control.
+
+    Returns:
+        The environment; set ``environment.task.command`` to ask for a speed and a yaw rate.
+
+    Raises:
+        UnknownNameError: for an unknown robot, transporter or profile.
+        ValueError: for an unknown randomization.
+
+    Example:
+        >>> environment = load("a1", "single_board", random=0)
+        >>> environment.task.command = (0.5, 0.0)
+        >>> environment.reset().observation["command"].tolist()
+        [0.5, 0.0]
+    """
+    readings = get_readings(profile)
+    scene = build_scene(ROBOTS.get(robot), TRANSPORTERS.get(transporter), readings)
+    engine = DmControlEngine(scene, readings)
+    core = RidingTask(engine, readings, randomization, pushes, torch.Generator())
+    task = SuiteTask(core, random)
+    return control.Environment(engine.physics, task, time_limit=time_limit, n_sub_steps=DECIMATION)
+
+
+class SuiteTask(control.Task):
+    """Hands dm_control's calls on to the one task that ``RidingEnv`` drives as well.
+
+    Observations are flat float32 arrays: ``proprio``, ``command``, ``observation`` (the two joined),
+    ``privileged_intrinsic`` and ``privileged_extrinsic``. Early termination has discount 0.
+
+    Args:
+        core: the task over a :class:`~torchrl_atr.envs.physics.dmc.DmControlEngine`.
+        random: a seed or a random state.
+
+    Attributes:
+        reward_terms: the last step's weighted reward terms by name.
+    """
+
+    def __init__(self, core: RidingTask, random: int | np.random.RandomState | None = None) -> None:
+        self.core = core
+        self._random = random if isinstance(random, np.random.RandomState) else np.random.RandomState(random)
+        self._command = torch.zeros(1, len(COMMAND_FEATURES))
+        self._outcome: Outcome | None = None
+
+    @property
+    def command(self) -> NDArray[np.float32]:
+        """(c_v, c_ω), m/s and rad/s, until it is set anew; zero at first."""
+        return self._command[0].numpy().copy()
+
+    @command.setter
+    def command(self, value: ArrayLike) -> None:
+        command = torch.as_tensor(np.asarray(value, dtype=np.float32)).reshape(1, -1)
+        if command.shape != self._command.shape or not torch.isfinite(command).all():
+            names = ", ".join(COMMAND_FEATURES)
+            raise ValueError(f"command={value!r}: give {command.new_empty(self._command.shape[1:]).numel()} finite numbers, ({names})")
+        self._command = command.clone()
+
+    @property
+    def reward_terms(self) -> dict[str, float]:
+        """See the class."""
+        return {} if self._outcome is None else {name: float(value) for name, value in self._outcome.terms.items()}
+
+    def initialize_episode(self, physics: RidingPhysics) -> None:
+        """Fresh intrinsics and initial state, drawn from this task's random state."""
+        self.core.rng.manual_seed(int(self._random.randint(2**31)))
+        self.core.begin(np.arange(1))
+        self._outcome = None
+
+    def before_step(self, action: ArrayLike, physics: RidingPhysics) -> None:
+        """Pushes that are due and the joint targets."""
+        self.core.act(torch.as_tensor(np.array(action, dtype=np.float32)).reshape(1, -1))
+
+    def after_step(self, physics: RidingPhysics) -> None:
+        """Rewards and terminations, once per control step."""
+        self._outcome = self.core.judge(self._command)
+
+    def action_spec(self, physics: RidingPhysics) -> specs.BoundedArray:
+        """Joint displacements in units of the action scale, bounded by what the joints' control ranges let through."""
+        scene = self.core.scene
+        limits = scene.model.actuator_ctrlrange[scene.layout.actuators]
+        low, high = (limits - np.array(scene.robot.q0)[:, None]).T / scene.robot.action_scale
+        return specs.BoundedArray(low.shape, np.float64, low, high, name="action")
+
+    def get_observation(self, physics: RidingPhysics) -> dict[str, NDArray[np.float32]]:
+        """Flat names, one array each."""
+        state = None if self._outcome is None else self._outcome.state
+        observed = self.core.observe(self._command, state)
+        return {_flat(key): value[0].numpy().copy() for key, value in observed.items()}
+
+    def get_reward(self, physics: RidingPhysics) -> float:
+        """The sum of all terms."""
+        assert self._outcome is not None  # dm_control asks after a step
+        return float(self._outcome.reward)
+
+    def get_termination(self, physics: RidingPhysics) -> float | None:
+        """Discount 0 if the episode ended early, else None."""
+        return 0.0 if self._outcome is not None and bool(self._outcome.terminated) else None
+
+
+def _flat(key: Any) -> str:
+    return key if isinstance(key, str) else "_".join(key)

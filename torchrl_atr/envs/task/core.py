@@ -1,0 +1,192 @@
+"""``RidingTask``: the task over an engine, without a word of TorchRL or dm_control; both front ends drive this one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from torchrl_atr.envs.physics.engine import Engine
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.task import disturbances, observations, randomization as intrinsics, rewards
+from torchrl_atr.envs.task.state import CONTROL_DT, RidingState, Rows, StateReader
+from torchrl_atr.envs.task.terminations import fallen
+
+COMMAND_FEATURES = ("speed", "yaw_rate")
+"""What a command asks for: forward speed, m/s, and yaw rate, rad/s."""
+
+
+@dataclass
+class Outcome:
+    """What a control step led to.
+
+    Attributes:
+        state: N robots after it.
+        reward: (N, 1).
+        terms: the weighted reward terms by name, (N, 1) each.
+        terminated: (N,) bool.
+    """
+
+    state: RidingState
+    reward: Tensor
+    terms: dict[str, Tensor]
+    terminated: Tensor
+
+
+class RidingTask:
+    """N robots' episodes: intrinsics, initial states, pushes, actions, rewards, terminations, observations.
+
+    A control step is :meth:`act`, then the engine's ``advance``, then :meth:`judge`.
+
+    Args:
+        engine: either engine.
+        readings: the paper's open points.
+        randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
+        pushes: whether robot and platform are pushed every 3 s.
+        rng: source of intrinsics, initial states and pushes.
+
+    Attributes:
+        x_int: scaled intrinsic parameters, (N, 34).
+        previous_action: a_{t-1}, (N, 12), zero at the start of an episode.
+        steps: control steps since the start of the episode, (N,).
+        num_diverged: simulations that have diverged so far.
+
+    Raises:
+        ValueError: for an unknown ``randomization``.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        readings: Readings,
+        randomization: intrinsics.Randomization,
+        pushes: bool,
+        rng: torch.Generator,
+    ) -> None:
+        self.engine, self.scene, self.readings = engine, engine.scene, readings
+        self.randomization, self.pushes, self.rng = randomization, pushes, rng
+        self.num_diverged = 0
+        self.joints = len(self.scene.robot.joints)
+        n = engine.num_envs
+        self._nominal = torch.tensor(self.scene.robot.q0, dtype=torch.float64)
+        self._reader = StateReader(engine)
+        self._push_every = round(disturbances.PUSH_INTERVAL / CONTROL_DT)
+        self.steps = torch.zeros(n, dtype=torch.long)
+        self.previous_action = torch.zeros(n, self.joints)
+        self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
+        self.begin(np.arange(n))
+
+    def begin(self, rows: NDArray[np.int64]) -> None:
+        """Starts episodes of ``rows`` with fresh intrinsics and initial states; the others are left as they are."""
+        x_int = intrinsics.sample_intrinsics(len(rows), self.joints, self.randomization, self.rng)
+        qpos, qvel = disturbances.initial_state(self.scene, len(rows), self.rng)
+        self.engine.reset(rows, qpos, qvel, intrinsics.physical_parameters(x_int, self.scene, self.readings))
+        # out of place: callers may hold what was handed out before
+        self.x_int, self.previous_action = self.x_int.clone(), self.previous_action.clone()
+        self.x_int[rows], self.previous_action[rows], self.steps[rows] = x_int, 0.0, 0
+        self._reader.forget(rows)
+
+    def act(self, action: Tensor) -> None:
+        """Opens a control step: pushes that are due, then the joint targets q0 + scale · action.
+
+        Args:
+            action: (N, 12).
+
+        Raises:
+            ValueError: for a wrong shape or an action that is not finite.
+        """
+        if action.shape != self.previous_action.shape:
+            needed = tuple(self.previous_action.shape)
+            raise ValueError(f"'action' has shape {tuple(action.shape)}; this env needs {needed}: one value per joint")
+        if not torch.isfinite(action).all():
+            bad = (~torch.isfinite(action)).any(-1).nonzero().squeeze(-1).tolist()
+            raise ValueError(f"'action' is not finite for env ids {bad[:8]}; check the policy that wrote it")
+        self._push()
+        # a copy: callers reuse their buffers
+        self._action = action.detach().to(torch.float32, copy=True)
+        self.engine.command((self._nominal + self.scene.robot.action_scale * self._action).numpy())
+
+    def judge(self, command: Tensor) -> Outcome:
+        """Closes a control step, after the engine advanced.
+
+        Args:
+            command: (c_v, c_ω) in force during the step, (N, 2).
+        """
+        diverged = torch.from_numpy(self.engine.diverged)
+        if diverged.any():  # what came before is no state to take differences to
+            self.num_diverged += int(diverged.sum())
+            self._reader.forget(diverged.nonzero().squeeze(-1).numpy())
+        state = self._reader.read()
+        terminated = fallen(state, self.scene, self.readings) | diverged
+        thickness = self.scene.transporter.size[2]
+        context = rewards.RewardContext(
+            state, command, self._action, self.previous_action, terminated, self.scene.robot, thickness
+        )
+        reward, terms = rewards.compute_rewards(
+            context,
+            scale=CONTROL_DT if self.readings.rewards_times_dt else 1.0,
+            clip_to_positive=self.readings.positive_rewards,
+        )
+        self.previous_action = self._action
+        self.steps = self.steps + 1
+        return Outcome(state, reward, terms, terminated)
+
+    def observe(self, command: Tensor, state: RidingState | None = None, rows: Rows = slice(None)) -> dict[Any, Tensor]:
+        """What ``rows`` observe.
+
+        Args:
+            command: of those rows, (n, 2).
+            state: of those rows, if it has been read already.
+            rows: which robots.
+
+        Returns:
+            Observations by key, (n, features) each, raw SI units.
+        """
+        state = self._reader.read(rows) if state is None else state
+        proprio = observations.proprio(state, self.previous_action[rows], self.readings)
+        return {
+            "proprio": proprio,
+            "command": command.clone(),
+            "speeds": state.speeds,
+            "speeds": state.speeds,
+            "observation": torch.cat([proprio, command], -1),
+            ("privileged", "intrinsic"): self.x_int[rows],
+            ("privileged", "extrinsic"): observations.extrinsic(state),
+        }
+
+    def _push(self) -> None:
+        if self.pushes:
+            due = (self.steps > 0) & (self.steps % self._push_every == 0)
+            if due.any():
+                disturbances.push(self.engine, due.nonzero().squeeze(-1).numpy(), self.rng)
+
+    def get_state(self) -> dict[str, Tensor]:
+        """Simulation state (float64) and bookkeeping, copied."""
+        own = {"x_int": self.x_int, "previous_action": self.previous_action, "steps": self.steps}
+        simulation = {name: torch.from_numpy(value) for name, value in self.engine.get_state().items()}
+        return {**simulation, **{name: value.clone() for name, value in own.items()}}
+
+    def set_state(self, state: dict[str, Tensor]) -> None:
+        """Restores a :meth:`get_state`, of either engine: intrinsic parameters, simulation and bookkeeping.
+
+        Raises:
+            KeyError: if an entry is missing.
+            ValueError: if an entry's shape does not fit.
+        """
+        for name, value in self.get_state().items():
+            if name not in state:
+                raise KeyError(f"the state lacks {name!r}; pass what get_state() returned")
+            if state[name].shape != value.shape:
+                got, needed = tuple(state[name].shape), tuple(value.shape)
+                raise ValueError(f"state entry {name!r} has shape {got}; this env needs {needed}")
+        self.x_int, self.previous_action = state["x_int"].clone(), state["previous_action"].clone()
+        self.steps = state["steps"].clone()
+        arrays = {name: value.numpy() for name, value in state.items()}
+        parameters = intrinsics.physical_parameters(self.x_int, self.scene, self.readings)
+        self.engine.reset(np.arange(self.engine.num_envs), arrays["qpos"], arrays["qvel"], parameters)
+        self.engine.set_state(arrays)
+        self._reader.forget()

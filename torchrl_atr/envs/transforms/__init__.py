@@ -1,0 +1,8 @@
+"""Transforms of the riding environment: the command curriculum, the observation history, and their order."""
+
+from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
+from torchrl_atr.envs.transforms.grid import CommandGrid
+from torchrl_atr.envs.transforms.history import ObservationHistory
+from torchrl_atr.envs.transforms.stack import riding_transforms
+
+__all__ = ["CommandCurriculum", "CommandGrid", "ObservationHistory", "riding_transforms"]

@@ -1,0 +1,284 @@
+"""The transform that owns the command: draws it, resamples it, and grows the grid it is drawn from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any, NoReturn
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey, unravel_key
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+from torchrl.envs.transforms import Transform
+
+from torchrl_atr.envs.transforms.grid import CommandGrid
+from torchrl_atr.envs.transforms.rows import CommandRows
+
+TRACKING_KEYS: tuple[NestedKey, ...] = (
+    ("reward_terms", "forward_command"),
+    ("reward_terms", "steering_command"),
+)
+
+
+class CommandCurriculum(Transform):
+    """Grid-adaptive curriculum over (c_v, c_omega) (the paper's "Curriculum Strategy").
+
+    A command is drawn at every reset and again every ``window`` steps, after the reward: the reward of step t
+    is for command t, and ``next`` carries command t + 1. A row that is done keeps its command until its
+    reset. Over each window the mean of every tracking score, over the fixed window length, is compared with
+    its threshold; if all pass and the row did not terminate, the grid around the command's cell grows. An
+    episode that ends inside a window therefore scores nothing.
+
+    The generator is the transform's own: ``env.set_seed`` never reaches transforms. Give each worker its own
+    ``seed`` (for example through ``create_env_kwargs=[{"seed": 0}, {"seed": 1}]``) or call :meth:`set_seed`;
+    with ``seed=None`` each instance seeds itself from the operating system. Workers learn together through
+    ``collector.map_fn("env.transform[0].load_weights", ...)`` and :meth:`merge_`.
+
+    Only :meth:`pin` fixes a command. A ``command`` in a reset TensorDict is ignored.
+
+    Args:
+        tracking_max: What the environment emits for each score at perfect tracking (weight times dt).
+        tracking_keys: Where each score is in the step's ``next``; leaves of shape ``(*B, 1)``.
+        thresholds: Fraction of the maximum that each window mean must reach (gamma_v, gamma_omega).
+        window: Steps that a command lasts (5 s at 50 Hz).
+        score_from: Steps at the start of each window that are left out of the score.
+        grid: The cells and the update rule.
+        command_key: Where the command is read and written, ``(*B, 2)``, m/s and rad/s.
+        seed: Seed of the transform's generator.
+
+    Raises:
+        ValueError: Lengths differ, a maximum is not positive, or the window leaves nothing to score.
+
+    Example:
+        >>> curriculum = CommandCurriculum(tracking_max=(0.2, 0.1), seed=0)
+        >>> curriculum.command_area[0] == 15 / (151 * 21), curriculum.frontier
+        (True, (0.5, 0.3))
+    """
+
+    weights: Tensor
+    _required: Tensor
+    rows: CommandRows
+
+    def __init__(
+        self,
+        tracking_max: Sequence[float],
+        *,
+        tracking_keys: Sequence[NestedKey] = TRACKING_KEYS,
+        thresholds: Sequence[float] = (0.8, 0.8),
+        window: int = 250,
+        score_from: int = 0,
+        grid: CommandGrid | None = None,
+        command_key: NestedKey = "command",
+        seed: int | None = None,
+    ) -> None:
+        super().__init__(in_keys=list(tracking_keys), out_keys=[command_key])
+        if not len(tracking_keys) == len(tracking_max) == len(thresholds) > 0:
+            raise ValueError(
+                "tracking_keys, tracking_max and thresholds need one entry per score, got "
+                f"{len(tracking_keys)}, {len(tracking_max)} and {len(thresholds)}"
+            )
+        if not all(0 < value < float("inf") for value in tracking_max):
+            raise ValueError(f"tracking_max must be positive, finite numbers, got {tuple(tracking_max)}")
+        if not 0 <= score_from < window:
+            raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
+        self.grid = CommandGrid() if grid is None else grid
+        self.window, self.score_from = int(window), int(score_from)
+        self.command_key = unravel_key(command_key)
+        self._generator = torch.Generator()
+        if seed is None:
+            self._generator.seed()
+        else:
+            self.set_seed(seed)
+        required = torch.tensor(thresholds) * torch.tensor(tracking_max) * (self.window - self.score_from)
+        self.register_buffer("weights", self.grid.initial_weights())
+        self.register_buffer("_required", required, persistent=False)
+        self.rows = CommandRows()
+
+    @property
+    def command(self) -> Tensor:
+        """The commands in force (a copy), ``(*B, 2)``, m/s and rad/s.
+
+        Raises:
+            RuntimeError: Before the first reset.
+        """
+        if self.rows.batch is None:
+            raise RuntimeError("CommandCurriculum has no commands before the first reset; call env.reset()")
+        return self.rows.command.reshape(*self.rows.batch, -1).clone()
+
+    @property
+    def command_area(self) -> tuple[float, float]:
+        """Sum of weights as a fraction of all cells, and in (m/s)(rad/s)."""
+        return self.grid.area(self.weights)
+
+    @property
+    def frontier(self) -> tuple[float, float]:
+        """Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s) that can be drawn now."""
+        return self.grid.frontier(self.weights)
+
+    def set_seed(self, seed: int) -> None:
+        """Restart this transform's own generator."""
+        self._generator.manual_seed(int(seed))
+
+    @torch.no_grad()
+    def load_weights(self, weights: Tensor) -> None:
+        """Replace the weights by ``weights``, ``grid.shape``, in [0, 1].
+
+        Raises:
+            ValueError: See :meth:`CommandGrid.validate`.
+        """
+        self.weights.copy_(self.grid.validate(torch.as_tensor(weights)))
+
+    @torch.no_grad()
+    def merge_(self, other: Tensor) -> None:
+        """Take in another worker's weights, ``grid.shape``, by elementwise maximum.
+
+        Raises:
+            ValueError: See :meth:`CommandGrid.validate`.
+        """
+        other = self.grid.validate(torch.as_tensor(other)).to(self.weights)
+        self.weights.copy_(self.grid.merge(self.weights, other))
+
+    @torch.no_grad()
+    def pin(self, command: Tensor | Sequence[float], mask: Tensor | None = None) -> None:
+        """Fix the command of some rows, through resamples and resets, until :meth:`unpin`.
+
+        It shows from the next reset or step on. Pinned rows never update the grid.
+
+        Args:
+            command: ``(2,)`` for all rows or ``(*B, 2)``, m/s and rad/s, within the grid's bounds.
+            mask: bool ``(*B,)`` or ``(*B, 1)``: the rows to pin; all by default.
+
+        Raises:
+            RuntimeError: Outside an environment, whose batch size it needs.
+            ValueError: Wrong shape, not finite, or out of bounds.
+        """
+        self._make_rows()
+        self.rows.pin(command, self.grid.bounds, mask)
+
+    @torch.no_grad()
+    def unpin(self) -> None:
+        """Release all pins. A released row keeps its command, uncounted, until it is next due."""
+        if self.rows.batch is not None:
+            self.rows.pinned = torch.zeros_like(self.rows.pinned)
+
+    @torch.no_grad()
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        # before the base env's reset, so that what it emits already holds the new command
+        fresh = self._make_rows()
+        if tensordict is None:
+            tensordict = TensorDict({}, batch_size=self.parent.batch_size, device=self.parent.device)
+        rows = self.rows.mask(None if fresh else tensordict.get("_reset", None))
+        self.rows.restart(rows)
+        self._draw(rows)
+        return tensordict.set(self.command_key, self.command)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset.set(self.command_key, self.command)
+
+    @torch.no_grad()
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        command = self.command  # raises before the first reset
+        scores = self._scores(next_tensordict)
+        self.rows.elapsed += 1
+        if self.score_from:
+            scores = scores.masked_fill((self.rows.elapsed <= self.score_from)[:, None], 0)
+        self.rows.sums += scores
+        due = self.rows.elapsed >= self.window
+        if due.any():
+            self._close_windows(due, next_tensordict)
+            command = self.command
+        return next_tensordict.set(self.command_key, command)
+
+    def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
+        raise NotImplementedError(
+            "CommandCurriculum only works on the reset and step of an environment: "
+            "TransformedEnv(env, CommandCurriculum(...)). Remove it from the module or replay buffer."
+        )
+
+    forward = _call
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Declare the command, unless the environment already emits it."""
+        return self._declare(observation_spec)
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare the command, unless the environment already takes it."""
+        return self._declare(state_spec)
+
+    def clone(self) -> CommandCurriculum:
+        """A copy without parent, with its own generator and state."""
+        other = super().clone()
+        other._generator = torch.Generator()
+        other._generator.set_state(self._generator.get_state())
+        other.weights = self.weights.clone()
+        other.rows = CommandRows()
+        other.rows.set_extra_state(self.rows.get_extra_state())
+        return other
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """The generator and the grid's settings; weights and rows have entries of their own."""
+        return {"generator": self._generator.get_state(), "grid": asdict(self.grid)}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`get_extra_state`. Rows of another batch size are made anew at the next reset.
+
+        Raises:
+            ValueError: The state is of another grid.
+        """
+        saved = {name: tuple(v) if isinstance(v, list) else v for name, v in state["grid"].items()}
+        if saved != asdict(self.grid):
+            raise ValueError(f"the saved curriculum has the grid {saved}, this one {asdict(self.grid)}")
+        self._generator.set_state(state["generator"].cpu())
+
+    def _declare(self, spec: Composite) -> Composite:
+        if self.command_key not in spec.keys(True, True):
+            shape = (*spec.shape, len(self.grid.bounds))
+            spec[self.command_key] = Unbounded(shape, device=spec.device, dtype=torch.get_default_dtype())
+        return spec
+
+    def _make_rows(self) -> bool:
+        """Allocate the rows if there are none for this batch size; whether it did."""
+        if self.parent is None:
+            raise RuntimeError(
+                "CommandCurriculum is not attached; use TransformedEnv(env, CommandCurriculum(...))"
+            )
+        batch = self.parent.batch_size
+        if self.rows.batch == batch:
+            self.rows.to(self.weights.device)  # after a load from another device
+            return False
+        spec = self.parent.full_state_spec
+        known = self.command_key in spec.keys(True, True)
+        dtype = spec[self.command_key].dtype if known else torch.get_default_dtype()
+        self.rows.allocate(batch, len(self.grid.bounds), len(self.in_keys), dtype, self.weights.device)
+        return True
+
+    def _scores(self, next_tensordict: TensorDictBase) -> Tensor:
+        scores = [next_tensordict.get(key, None) for key in self.in_keys]
+        for key, score in zip(self.in_keys, scores):
+            if score is None:
+                raise KeyError(
+                    f"tracking key {key!r} is not in the step's output; pass tracking_keys naming some of "
+                    f"{sorted(map(str, next_tensordict.keys(True, True)))}"
+                )
+        return torch.cat([score.reshape(-1, 1) for score in scores], -1)
+
+    def _close_windows(self, due: Tensor, next_tensordict: TensorDictBase) -> None:
+        done, terminated = (next_tensordict.get(key).reshape(-1) for key in ("done", "terminated"))
+        passed = due & ~terminated & (self.rows.cells >= 0) & (self.rows.sums >= self._required).all(-1)
+        if passed.any():
+            self.weights.copy_(self.grid.update(self.weights, self.rows.cells[passed]))
+        self.rows.restart(due)
+        self._draw(due & ~done)
+
+    def _draw(self, rows: Tensor) -> None:
+        index = (rows & ~self.rows.pinned).nonzero()[:, 0]
+        if len(index):
+            # drawn on the CPU: the same commands on every device
+            uniforms = torch.rand(
+                len(index), 1 + len(self.grid.bounds), generator=self._generator, dtype=torch.float64
+            )
+            commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
+            self.rows.command[index] = commands.to(self.rows.command.dtype)
+            self.rows.cells[index] = cells

@@ -1,0 +1,205 @@
+"""The grid over the command space and the pure rule that grows it (the paper's "Curriculum Strategy").
+
+Readings A2 to A5: the printed ``max(P + delta, 1)`` is a cap, ``min(w + delta, 1)``, on
+unnormalised weights in [0, 1]; a cell is drawn with probability proportional to its weight.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+_TOLERANCE = 1e-6
+
+
+def _whole(ratio: float) -> bool:
+    return abs(ratio - round(ratio)) < _TOLERANCE
+
+
+@dataclass(frozen=True)
+class CommandGrid:
+    """Cells over (c_v, c_omega), centred on integer multiples of the bin, and the rule that grows them.
+
+    The grid holds no tensor: every method is a pure function of the weights it is given, so that the same
+    rule serves an environment, a learner and a plot. Edge cells are cut at the bounds, so no command leaves
+    the box. Neighbours are found by integer offsets ``round(expansion / bin)``: comparing the centres as
+    floats loses cells.
+
+    Args:
+        bounds: Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s); whole multiples of ``bin_size``.
+        bin_size: Cell size along each axis, m/s and rad/s.
+        initial: Half-widths of the box that starts with weight 1; a cell belongs to it if its centre does.
+        expansion: The paper's Delta, m/s and rad/s: how far a success reaches along each axis.
+        increment: The paper's delta, added to each cell of the neighbourhood for each success, in (0, 1].
+        count_own_twice: The ``ancestor`` reading of ``c + Delta``: the succeeding cell gains the increment
+            twice.
+
+    Raises:
+        ValueError: A value is not positive and finite, or does not fit the grid.
+
+    Example:
+        >>> grid = CommandGrid()
+        >>> grid.shape, int(grid.initial_weights().sum())
+        ((151, 21), 15)
+    """
+
+    bounds: tuple[float, float] = (15.0, 2.0)
+    bin_size: tuple[float, float] = (0.2, 0.2)
+    initial: tuple[float, float] = (0.5, 0.3)
+    expansion: tuple[float, float] = (0.2, 0.2)
+    increment: float = 0.1
+    count_own_twice: bool = False
+
+    def __post_init__(self) -> None:
+        for name, low in (("bounds", 0.0), ("bin_size", 0.0), ("initial", 0.0), ("expansion", -_TOLERANCE)):
+            pair = tuple(float(value) for value in getattr(self, name))
+            if len(pair) != 2 or not all(math.isfinite(value) and value > low for value in pair):
+                raise ValueError(f"{name} must be two finite, positive numbers (c_v, c_omega), got {pair}")
+            object.__setattr__(self, name, pair)
+        if not 0 < self.increment <= 1:
+            raise ValueError(f"increment must be in (0, 1], got {self.increment}")
+        for axis, (bound, size, initial, reach) in enumerate(
+            zip(self.bounds, self.bin_size, self.initial, self.expansion)
+        ):
+            name = ("c_v", "c_omega")[axis]
+            if not _whole(bound / size):
+                raise ValueError(
+                    f"bounds[{axis}] ({name}) = {bound} must be a whole multiple of its bin {size}"
+                )
+            if initial > bound + _TOLERANCE:
+                raise ValueError(f"initial[{axis}] ({name}) = {initial} must lie within its bound {bound}")
+            if reach > _TOLERANCE and round(reach / size) == 0:
+                raise ValueError(
+                    f"expansion[{axis}] ({name}) = {reach} reaches no neighbour of a {size} bin; "
+                    "use at least one bin, or 0 to keep this axis as it is"
+                )
+
+    @property
+    def half(self) -> tuple[int, int]:
+        """Cells on either side of the centre cell, along each axis."""
+        return round(self.bounds[0] / self.bin_size[0]), round(self.bounds[1] / self.bin_size[1])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of cells along c_v and c_omega."""
+        return 2 * self.half[0] + 1, 2 * self.half[1] + 1
+
+    @property
+    def radius(self) -> tuple[int, int]:
+        """Neighbours on either side that a success reaches, in cells."""
+        return round(self.expansion[0] / self.bin_size[0]), round(self.expansion[1] / self.bin_size[1])
+
+    def initial_weights(self) -> Tensor:
+        """P_0 as weights: 1 in the initial box, 0 outside.
+
+        Returns:
+            float32 ``shape``.
+        """
+        inside = [math.floor(box / size + _TOLERANCE) for box, size in zip(self.initial, self.bin_size)]
+        weights = torch.zeros(self.shape)
+        rows, columns = (slice(half - k, half + k + 1) for half, k in zip(self.half, inside))
+        weights[rows, columns] = 1.0
+        return weights
+
+    def validate(self, weights: Tensor) -> Tensor:
+        """Return ``weights`` if they are weights of this grid.
+
+        Raises:
+            ValueError: Wrong shape, a value outside [0, 1] or not finite, or no positive weight at all.
+        """
+        if tuple(weights.shape) != self.shape:
+            raise ValueError(f"weights must have this grid's shape {self.shape}, got {tuple(weights.shape)}")
+        if not bool(((weights >= 0) & (weights <= 1)).all()):
+            raise ValueError("weights must be finite and in [0, 1]")
+        if not bool((weights > 0).any()):
+            raise ValueError("weights must have at least one positive cell to draw commands from")
+        return weights
+
+    def centres(self, cells: Tensor) -> Tensor:
+        """Commands at the centres of flat cell indices.
+
+        Args:
+            cells: int64 ``(*B,)``, ``row * shape[1] + column``.
+
+        Returns:
+            float64 ``(*B, 2)``, m/s and rad/s.
+        """
+        index = torch.stack([cells // self.shape[1] - self.half[0], cells % self.shape[1] - self.half[1]], -1)
+        return index * torch.tensor(self.bin_size, dtype=torch.float64, device=cells.device)
+
+    def cell_of(self, commands: Tensor) -> Tensor:
+        """Flat index, int64 ``(*B,)``, of the cell nearest to each command ``(*B, 2)``."""
+        index = torch.stack(
+            [
+                (commands[..., axis].double() / self.bin_size[axis]).round().long().clamp(-half, half) + half
+                for axis, half in enumerate(self.half)
+            ]
+        )
+        return index[0] * self.shape[1] + index[1]
+
+    def _edges(self, cells: Tensor) -> tuple[Tensor, Tensor]:
+        """Lowest and highest command of each cell, cut at the bounds: two float64 ``(*B, 2)``."""
+        centres = self.centres(cells)
+        reach = torch.tensor(self.bin_size, dtype=torch.float64, device=cells.device) / 2
+        bound = torch.tensor(self.bounds, dtype=torch.float64, device=cells.device)
+        return torch.maximum(centres - reach, -bound), torch.minimum(centres + reach, bound)
+
+    def sample(self, weights: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
+        """Draw commands: a cell with probability proportional to its weight, then uniformly inside the cell.
+
+        A function of uniform numbers instead of a generator, so that the same seed draws the same commands on
+        every device.
+
+        Args:
+            weights: ``shape``, at least one of them positive.
+            uniforms: float64 ``(n, 3)`` in [0, 1): the cell, c_v and c_omega inside it.
+
+        Returns:
+            Commands, float64 ``(n, 2)`` in m/s and rad/s, and their flat cell indices, int64 ``(n,)``.
+        """
+        cumulative = weights.reshape(-1).cumsum(0, dtype=torch.float64)
+        total = cumulative[-1]
+        # u * total may round up to the total, behind the last cell that has any weight
+        target = torch.minimum(uniforms[:, 0] * total, torch.nextafter(total, torch.zeros_like(total)))
+        cells = torch.searchsorted(cumulative, target, right=True)
+        low, high = self._edges(cells)
+        return low + uniforms[:, 1:] * (high - low), cells
+
+    def update(self, weights: Tensor, cells: Tensor) -> Tensor:
+        """P_{K+1} from P_K: each success adds the increment to its neighbourhood, saturating at 1.
+
+        A cell named twice counts twice; weights never fall.
+
+        Args:
+            weights: ``shape``.
+            cells: int64 ``(n,)``, the flat index of each success.
+
+        Returns:
+            New weights, ``shape``.
+        """
+        counts = torch.bincount(cells, minlength=weights.numel()).reshape(1, 1, *self.shape).double()
+        kernel = counts.new_ones(1, 1, *(2 * r + 1 for r in self.radius))
+        if self.count_own_twice:
+            kernel[..., self.radius[0], self.radius[1]] += 1
+        gain = functional.conv2d(counts, kernel, padding=self.radius)[0, 0]
+        return (weights.double() + self.increment * gain).clamp(max=1.0).to(weights.dtype)
+
+    def merge(self, weights: Tensor, other: Tensor) -> Tensor:
+        """What two workers have learnt together: the elementwise maximum, as weights only ever rise."""
+        return torch.maximum(weights, other)
+
+    def area(self, weights: Tensor) -> tuple[float, float]:
+        """Weighted area of the grid: as a fraction of its cells, and in (m/s)(rad/s) with edge cells cut."""
+        low, high = self._edges(torch.arange(weights.numel(), device=weights.device))
+        sizes = (high - low).prod(-1).reshape(self.shape)
+        return float(weights.double().mean()), float((weights.double() * sizes).sum())
+
+    def frontier(self, weights: Tensor) -> tuple[float, float]:
+        """Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s) that can be drawn."""
+        low, high = self._edges((weights.reshape(-1) > 0).nonzero()[:, 0])
+        reach = torch.maximum(low.abs(), high.abs()).amax(0)
+        return round(float(reach[0]), 9), round(float(reach[1]), 9)

@@ -1,0 +1,112 @@
+"""The observation history o_{t-H} ... o_{t-1} that the estimators read."""
+
+from __future__ import annotations
+
+from typing import Any, NoReturn
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite
+from torchrl.envs.transforms import Transform
+
+
+class ObservationHistory(Transform):
+    """Writes the ``length`` observations before the current one, oldest first, of this episode only.
+
+    ``history[..., 0, :]`` is o_{t-H} and ``history[..., -1, :]`` is o_{t-1} (reading A19); before the episode
+    has H steps the front is filled with o_0, so at t = 0 it is H copies of it. Place it behind whatever
+    rewrites the observation: it stores what it sees, the command that was in force included.
+
+    TorchRL's ``UnsqueezeTransform -> CatFrames(H + 1, padding="same")`` comes close, but needs a transform of
+    our own to cut the newest frame, and its uninitialised buffer makes ``env.state_dict()`` fail before the
+    first reset and ``env.load_state_dict()`` fail on a fresh environment. Speed was not the reason. Median ms
+    of ``env.rollout`` per step on one CPU thread, 1024 rows of 46 numbers, H = 10, no physics: no history
+    1.4, CatFrames 5.1, this 5.1; with 0.2 % of the rows reset at each step 2.5, 5.0, 4.3. Of
+    ``step_and_maybe_reset`` alone (minimum): 0.8, 1.6, 1.3; with resets 0.9, 1.7, 1.4. Stacking the rollout
+    is most of the cost.
+
+    Args:
+        length: H, the number of past observations.
+        in_key: The observation, ``(*B, D)``.
+        out_key: The history, ``(*B, H, D)``, of the observation's dtype.
+
+    Raises:
+        ValueError: ``length`` is not positive.
+
+    Example:
+        >>> ObservationHistory(10).length
+        10
+    """
+
+    _frames: Tensor | None
+
+    def __init__(
+        self, length: int, in_key: NestedKey = "observation", out_key: NestedKey = "history"
+    ) -> None:
+        if length < 1:
+            raise ValueError(f"length must be at least 1, got {length}")
+        super().__init__(in_keys=[in_key], out_keys=[out_key])
+        self.length = int(length)
+        # o_{t-H} ... o_t, (*B, H + 1, D). Never written in place: the emitted histories are views of it.
+        self.register_buffer("_frames", None, persistent=False)
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        first = self._observation(tensordict_reset)
+        shape = (*first.shape[:-2], self.length + 1, first.shape[-1])
+        mask = tensordict.get("_reset", None)
+        if mask is None or self._frames is None or self._frames.shape != shape:
+            self._frames = first.expand(shape).clone()
+        else:
+            self._frames = torch.where(mask.reshape(*shape[:-2], 1, 1), first, self._frames)
+        return self._emit(tensordict_reset)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        if self._frames is None:
+            raise RuntimeError(
+                "ObservationHistory has no history before the first reset; call env.reset() first"
+            )
+        newest = self._observation(next_tensordict)
+        self._frames = torch.cat([self._frames[..., 1:, :], newest], -2)
+        return self._emit(next_tensordict)
+
+    def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
+        raise NotImplementedError(
+            "ObservationHistory only works on the reset and step of an environment: TransformedEnv(env, "
+            "ObservationHistory(...)). Collected data hold its output: remove it from the module or buffer."
+        )
+
+    forward = _call
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Declare the history: the observation's spec, ``length`` times.
+
+        Raises:
+            KeyError: The environment emits no such observation.
+        """
+        if self.in_keys[0] not in observation_spec.keys(True, True):
+            known = sorted(map(str, observation_spec.keys(True, True)))
+            raise KeyError(
+                f"observation {self.in_keys[0]!r} is not among {known}; name one of these as in_key"
+            )
+        frame = observation_spec[self.in_keys[0]]
+        shape = (*frame.shape[:-1], self.length, frame.shape[-1])
+        observation_spec[self.out_keys[0]] = frame.unsqueeze(-2).expand(shape).clone()
+        return observation_spec
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """The frames, ``(*B, H + 1, D)``, or None before the first reset."""
+        return {"frames": self._frames}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`get_extra_state`; frames of another shape are dropped at the next reset."""
+        frames, device = state["frames"], self.parent.device if self.parent is not None else None
+        self._frames = frames if frames is None else frames.to(device or frames.device, copy=True)
+
+    def _observation(self, tensordict: TensorDictBase) -> Tensor:
+        return tensordict.get(self.in_keys[0]).unsqueeze(-2)
+
+    def _emit(self, tensordict: TensorDictBase) -> TensorDictBase:
+        assert self._frames is not None
+        return tensordict.set(self.out_keys[0], self._frames[..., :-1, :])

@@ -1,0 +1,101 @@
+"""What the command curriculum remembers of each row of its environment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+_FIELDS = ("command", "cells", "elapsed", "sums", "pinned")
+
+
+class CommandRows(nn.Module):
+    """One flat entry per environment row: its command, the command's cell, the state of its window, its pin.
+
+    Everything is None until :meth:`allocate`. The fields move with ``.to()`` and travel as extra state, so
+    that a ``state_dict`` from before the first reset, or of another batch size, can be loaded.
+
+    Attributes:
+        batch: The environment's batch size ``B``; ``n`` is its number of rows.
+        command: ``(n, 2)``, m/s and rad/s.
+        cells: int64 ``(n,)``: the cell that the command was drawn from; -1 if it was not drawn, and is not
+            counted.
+        elapsed: int64 ``(n,)``: steps since the window began.
+        sums: ``(n, scores)``: the sum of each tracking score over the window.
+        pinned: bool ``(n,)``.
+    """
+
+    command: Tensor
+    cells: Tensor
+    elapsed: Tensor
+    sums: Tensor
+    pinned: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.batch: torch.Size | None = None
+        for name in _FIELDS:
+            self.register_buffer(name, None, persistent=False)
+
+    def allocate(self, batch: torch.Size, axes: int, scores: int, dtype: torch.dtype, device: Any) -> None:
+        """Make rows for batch size ``batch``: commands of ``axes`` numbers at 0, no cell, no pin."""
+        n = batch.numel()
+        self.batch = batch
+        self.command = torch.zeros(n, axes, dtype=dtype, device=device)
+        self.cells = torch.full((n,), -1, device=device)
+        self.elapsed = torch.zeros(n, dtype=torch.long, device=device)
+        self.sums = torch.zeros(n, scores, device=device)
+        self.pinned = torch.zeros(n, dtype=torch.bool, device=device)
+
+    def mask(self, mask: Tensor | None) -> Tensor:
+        """``mask``, bool ``(*B,)`` or ``(*B, 1)``, as bool ``(n,)``; None is all rows.
+
+        Raises:
+            ValueError: Another dtype or shape.
+        """
+        if mask is None:
+            return torch.ones_like(self.pinned)
+        assert self.batch is not None
+        if mask.dtype != torch.bool or mask.shape not in (self.batch, (*self.batch, 1)):
+            raise ValueError(f"mask must be bool {tuple(self.batch)}, got {mask.dtype} {tuple(mask.shape)}")
+        return mask.reshape(-1).to(self.pinned.device)
+
+    def pin(self, command: Tensor | Sequence[float], bounds: Sequence[float], mask: Tensor | None) -> None:
+        """Give the rows in ``mask`` this command, ``(2,)`` or ``(*B, 2)``, and keep it from being drawn anew.
+
+        Raises:
+            ValueError: Wrong shape, not finite, or beyond ``bounds``.
+        """
+        assert self.batch is not None
+        command = torch.as_tensor(command, dtype=self.command.dtype, device=self.command.device)
+        axes = self.command.shape[-1]
+        if command.shape not in ((axes,), (*self.batch, axes)):
+            allowed = f"({axes},) or {(*self.batch, axes)}"
+            raise ValueError(f"command must have shape {allowed}, got {tuple(command.shape)}")
+        if not bool((command.abs() <= command.new_tensor(bounds)).all()):
+            raise ValueError(f"command must be finite and within +-{tuple(bounds)} (m/s, rad/s)")
+        rows = self.mask(mask)
+        self.command = torch.where(rows[:, None], command.reshape(-1, axes), self.command)
+        self.cells = self.cells.masked_fill(rows, -1)
+        self.pinned = self.pinned | rows
+
+    def restart(self, rows: Tensor) -> None:
+        """Begin a new window in ``rows``, bool ``(n,)``."""
+        self.elapsed.masked_fill_(rows, 0)
+        self.sums.masked_fill_(rows[:, None], 0)  # not a product: a score that is not finite must not survive
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Batch size and copies of the fields; all None before :meth:`allocate`."""
+        if self.batch is None:
+            return dict.fromkeys(("batch", *_FIELDS))
+        return {"batch": list(self.batch), **{name: getattr(self, name).clone() for name in _FIELDS}}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`get_extra_state`, on the device where the rows were last."""
+        device = None if self.batch is None else self.pinned.device
+        self.batch = None if state["batch"] is None else torch.Size(state["batch"])
+        for name in _FIELDS:
+            value = state[name]
+            setattr(self, name, None if value is None else value.to(device or value.device, copy=True))

@@ -1,0 +1,45 @@
+"""The standard transforms of the riding environment, in their order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from torchrl.envs.transforms import CatTensors, Compose, RewardSum, StepCounter
+
+from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
+from torchrl_atr.envs.transforms.history import ObservationHistory
+
+
+def riding_transforms(
+    tracking_max: Sequence[float], *, history_length: int = 10, max_steps: int = 1000, **curriculum: Any
+) -> Compose:
+    """Command, observation, history, time limit and episode reward, in the order that makes them agree.
+
+    ``CommandCurriculum -> CatTensors -> ObservationHistory -> StepCounter -> RewardSum``: the observation is
+    put together again after the command was resampled, and the history stores that observation. The
+    curriculum does not see the time limit: a window that ends with the episode is scored, and the last
+    observation holds the next command, as it does at the end of every other window.
+
+    Args:
+        tracking_max: See :class:`CommandCurriculum`.
+        history_length: H, past observations in ``history``.
+        max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
+        **curriculum: Further arguments of :class:`CommandCurriculum`, such as ``window``, ``grid`` or
+            ``seed``.
+
+    Returns:
+        The transforms, ``[0]`` being the curriculum: ``TransformedEnv(env, riding_transforms(...))``.
+
+    Example:
+        >>> [type(t).__name__ for t in riding_transforms((0.2, 0.1), seed=0)]
+        ['CommandCurriculum', 'CatTensors', 'ObservationHistory', 'StepCounter', 'RewardSum']
+    """
+    command = CommandCurriculum(tracking_max, **curriculum)
+    return Compose(
+        command,
+        CatTensors(["proprio", command.command_key], "observation", sort=False, del_keys=False),
+        ObservationHistory(history_length),
+        StepCounter(max_steps),
+        RewardSum(),
+    )

@@ -1,0 +1,27 @@
+"""How well it rides: command tracking, its figures, and pictures of it.
+
+Figures and videos import matplotlib, mediapy and OpenGL only when they are made.
+"""
+
+from torchrl_atr.evaluation.estimators import EstimatorErrors
+from torchrl_atr.evaluation.metrics import command_area, do_nothing, tracking_metrics
+from torchrl_atr.evaluation.report import load_tracking, save_tracking, write_report
+from torchrl_atr.evaluation.tracking import TrackingResult, command_grid, evaluate_tracking
+from torchrl_atr.evaluation.video import DEFAULT_RIDE, record_video
+from torchrl_atr.evaluation.viewer import play_viewer
+
+__all__ = [
+    "DEFAULT_RIDE",
+    "EstimatorErrors",
+    "TrackingResult",
+    "command_area",
+    "command_grid",
+    "do_nothing",
+    "evaluate_tracking",
+    "load_tracking",
+    "play_viewer",
+    "record_video",
+    "save_tracking",
+    "tracking_metrics",
+    "write_report",
+]

@@ -1,0 +1,129 @@
+"""Errors of the two estimators while the policy rides on them (paper, Table V)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+from torchrl_atr.modules.keys import NetworkKeys
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EstimatorErrors:
+    """First and second moments of the errors of each trial, over the steps that it was up; SI units.
+
+    Attributes:
+        steps: how many steps those are, (V, W, R).
+        names: of the E extrinsic states.
+        extrinsic: mean |x̂ - x| of each state, (V, W, R, E).
+        extrinsic_squared: mean |x̂ - x|², (V, W, R, E).
+        latent: mean ‖ẑ - z‖, (V, W, R); None without an encoder.
+        latent_squared: mean ‖ẑ - z‖², (V, W, R).
+    """
+
+    steps: Array
+    names: tuple[str, ...]
+    extrinsic: Array
+    extrinsic_squared: Array
+    latent: Array | None = None
+    latent_squared: Array | None = None
+
+    @staticmethod
+    def join(parts: Sequence[EstimatorErrors | None], shape: tuple[int, ...]) -> EstimatorErrors | None:
+        """The parts' trials, one after the other, as ``shape`` (V, W, R); None if any part is None."""
+        known = [part for part in parts if part is not None]
+        if not known or len(known) < len(parts):
+            return None
+
+        def joined(name: str) -> Array | None:
+            values = [getattr(part, name) for part in known]
+            if any(value is None for value in values):
+                return None
+            together = np.concatenate(values)
+            return together.reshape(*shape, *together.shape[1:])
+
+        fields = ("steps", "extrinsic", "extrinsic_squared", "latent", "latent_squared")
+        return EstimatorErrors(names=known[0].names, **{name: joined(name) for name in fields})  # type: ignore[arg-type]
+
+    def moments(self) -> tuple[tuple[float, float] | None, list[tuple[str, float, float]]]:
+        """Mean and standard deviation over all steps of all trials: latent, and each extrinsic state.
+
+        Example:
+            >>> moments = np.array([[[[0.1, 0.2]]]])
+            >>> errors = EstimatorErrors(np.ones((1, 1, 1)), ("a", "b"), moments, moments**2)
+            >>> [(name, mean) for name, mean, _ in errors.moments()[1]]
+            [('a', 0.1), ('b', 0.2)]
+        """
+        pooled = self._pool(self.extrinsic), self._pool(self.extrinsic_squared)
+        extrinsic = [(name, *_spread(m, s)) for name, m, s in zip(self.names, *pooled)]
+        if self.latent is None or self.latent_squared is None:
+            return None, extrinsic
+        return _spread(float(self._pool(self.latent)), float(self._pool(self.latent_squared))), extrinsic
+
+    def _pool(self, values: Array) -> Array:
+        weights = self.steps / self.steps.sum()
+        return np.tensordot(weights, values, axes=weights.ndim)
+
+
+def _spread(mean: float, square: float) -> tuple[float, float]:
+    return float(mean), float(np.sqrt(max(square - mean**2, 0.0)))
+
+
+class EstimatorSums:
+    """Adds up the errors of n robots step by step.
+
+    Args:
+        n: robots.
+        encoder: reads the env's privileged entries and writes the true latent; None to leave the latent out.
+        keys: names of the entries.
+        names: names of the extrinsic states, given how many there are.
+    """
+
+    def __init__(
+        self,
+        n: int,
+        encoder: TensorDictModuleBase | None,
+        keys: NetworkKeys,
+        names: Callable[[int], tuple[str, ...]],
+    ) -> None:
+        self._encoder, self._keys, self._names = encoder, keys, names
+        self._steps = torch.zeros(n, dtype=torch.float64)
+        self._sums: dict[str, Tensor] = {}
+
+    def add(self, observed: TensorDictBase, decided: TensorDictBase, alive: Tensor) -> None:
+        """Adds one step: the env's true states, the policy's estimates, and which robots count, (n,) bool."""
+        keys = self._keys
+        self._steps += alive
+        truth, estimate = observed.get(keys.extrinsic, None), decided.get(keys.extrinsic_estimate, None)
+        if truth is not None and estimate is not None:
+            self._accumulate("extrinsic", (estimate - truth).abs(), alive)
+        estimate = decided.get(keys.intrinsic_estimate, None)
+        if self._encoder is not None and estimate is not None:
+            latent = self._encoder(observed.select(*self._encoder.in_keys)).get(keys.latent)
+            self._accumulate("latent", (estimate - latent).norm(dim=-1), alive)
+
+    def _accumulate(self, name: str, error: Tensor, alive: Tensor) -> None:
+        mask = alive.reshape(-1, *[1] * (error.ndim - 1))
+        error = torch.where(mask, error.double(), torch.zeros((), dtype=torch.float64))
+        for key, value in ((name, error), (f"{name}_squared", error**2)):
+            self._sums[key] = self._sums.get(key, torch.zeros_like(value)) + value
+
+    def result(self) -> EstimatorErrors | None:
+        """The mean errors of each robot; None if there was no estimate whose truth the env emits."""
+        if "extrinsic" not in self._sums:
+            return None
+        means = {
+            name: (value / self._steps.reshape(-1, *[1] * (value.ndim - 1))).numpy()
+            for name, value in self._sums.items()
+        }
+        names = self._names(means["extrinsic"].shape[-1])
+        return EstimatorErrors(steps=self._steps.numpy(), names=names, **means)

@@ -1,0 +1,192 @@
+"""Offscreen pictures of one robot of an env: OpenGL without a display, a camera that follows, a caption."""
+
+from __future__ import annotations
+
+import ctypes.util
+import importlib
+import os
+import sys
+from types import TracebackType
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from torchrl.envs import EnvBase
+
+from torchrl_atr.evaluation.access import base_env
+
+CHASE = "chase"
+"""Follows the board from behind; turns after it with a lag, so that turning shows."""
+_BACKENDS = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": "mujoco.glfw"}
+_TURNING_TIME = 1.5  # s
+_NO_GL = (
+    "cannot render with MUJOCO_GL={name}: {reason}. Without a display, install libegl1 (MUJOCO_GL=egl) "
+    "or libosmesa6 (MUJOCO_GL=osmesa), for example: apt-get install libegl1 libgl1-mesa-dri"
+)
+
+
+def has_display() -> bool:
+    """Whether a window could be opened here."""
+    return not sys.platform.startswith("linux") or bool(
+        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    )
+
+
+def gl_backend() -> str:
+    """``MUJOCO_GL`` if set; else glfw with a display, egl without (osmesa where only that is installed)."""
+    named = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if named in _BACKENDS:
+        return named
+    if has_display():
+        return "glfw"
+    only_osmesa = not ctypes.util.find_library("EGL") and ctypes.util.find_library("OSMesa")
+    return "osmesa" if only_osmesa else "egl"
+
+
+def _make_context(width: int, height: int) -> Any:
+    # not mujoco.Renderer: its backend is chosen when mujoco is first imported, too early for a default here
+    name = gl_backend()
+    try:
+        context = importlib.import_module(_BACKENDS[name]).GLContext(width, height)
+        context.make_current()
+    except (
+        Exception
+    ) as error:  # PyOpenGL raises whatever went wrong: AttributeError, ImportError, GLError, ...
+        raise RuntimeError(_NO_GL.format(name=name, reason=error or type(error).__name__)) from error
+    return context
+
+
+class Picture:
+    """Renders one robot of a riding env; a context manager.
+
+    The env keeps board and robot near the origin; here the board's odometer is added back, so that it moves
+    over the floor.
+
+    Args:
+        env: a RidingEnv, transformed or not.
+        size: width and height, pixels; at most the scene's offscreen buffer, 1280 x 960.
+        camera: ``"chase"``, or the name of a camera of the model.
+        row: which robot.
+
+    Raises:
+        RuntimeError: if nothing here can render; says what to install.
+        TypeError: if the env is not a RidingEnv below its transforms.
+        ValueError: if the picture is too large, or there is no such camera.
+    """
+
+    def __init__(
+        self, env: EnvBase, size: tuple[int, int] = (640, 480), camera: str = CHASE, row: int = 0
+    ) -> None:
+        self._mirror = Mirror(env, row)
+        model = self._mirror.model
+        largest = model.vis.global_.offwidth, model.vis.global_.offheight
+        if not (0 < size[0] <= largest[0] and 0 < size[1] <= largest[1]):
+            raise ValueError(f"size={size}: choose width and height up to {largest}")
+        self._camera = self._find_camera(model, camera)
+        self._free = camera == CHASE
+        self._heading: float | None = None
+        self._context = _make_context(*size)
+        self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
+        self._scene, self._option = mujoco.MjvScene(model, maxgeom=2000), mujoco.MjvOption()
+        self._viewport = mujoco.MjrRect(0, 0, *size)
+
+    @staticmethod
+    def _find_camera(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
+        camera = mujoco.MjvCamera()
+        if name == CHASE:
+            camera.type, camera.distance, camera.elevation = mujoco.mjtCamera.mjCAMERA_FREE, 2.6, -18.0
+            return camera
+        number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
+        if number < 0:
+            known = {CHASE, *(model.camera(i).name for i in range(model.ncam))}
+            raise ValueError(f"unknown camera {name!r}; choose one of {', '.join(sorted(known))}")
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, number
+        return camera
+
+    def render(self, text: str = "", values: str = "", dt: float = 0.04) -> NDArray[np.uint8]:
+        """The robot as it is now.
+
+        Args:
+            text: left column of a caption at the top left, lines separated by line breaks.
+            values: its right column.
+            dt: seconds since the last picture, for the camera's lag.
+
+        Returns:
+            (height, width, 3) uint8, RGB.
+        """
+        self._mirror.update()
+        if self._free:
+            self._follow(dt)
+        model, data = self._mirror.model, self._mirror.data
+        self._context.make_current()
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, self._scene)
+        mujoco.mjr_render(self._viewport, self._scene, self._mjr)
+        if text:
+            font, corner = mujoco.mjtFont.mjFONT_NORMAL, mujoco.mjtGridPos.mjGRID_TOPLEFT
+            mujoco.mjr_overlay(font, corner, self._viewport, text, values, self._mjr)
+        image = np.empty((self._viewport.height, self._viewport.width, 3), dtype=np.uint8)
+        mujoco.mjr_readPixels(image, None, self._viewport, self._mjr)
+        return image[::-1]
+
+    def _follow(self, dt: float) -> None:
+        x, y, heading = self._mirror.pose()
+        if self._heading is None:
+            self._heading = heading
+        self._heading += (heading - self._heading) * min(1.0, dt / _TURNING_TIME)
+        self._camera.lookat[:] = [x, y, 0.3]
+        self._camera.azimuth = np.degrees(self._heading) + 35.0
+
+    def close(self) -> None:
+        """Frees the OpenGL context; left to the interpreter's exit, it would complain."""
+        if self._context is not None:
+            self._mjr.free()
+            self._context.free()
+            self._context = None
+
+    def __enter__(self) -> Picture:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Mirror:
+    """A MuJoCo model and data of our own that show one robot of an env, where its odometer says it is.
+
+    Args:
+        env: a RidingEnv, transformed or not; either engine.
+        row: which robot.
+
+    Raises:
+        TypeError: if the env is not a RidingEnv below its transforms.
+    """
+
+    def __init__(self, env: EnvBase, row: int = 0) -> None:
+        base = base_env(env)
+        if not hasattr(base, "engine"):
+            raise TypeError(f"{type(base).__name__} has no MuJoCo engine to show; use a RidingEnv")
+        self.engine, self.row = base.engine, row
+        # what is randomised (masses, gains, friction) does not show, so the nominal model will do
+        self.model: mujoco.MjModel = base.model
+        self.data = mujoco.MjData(self.model)
+        self.update()
+
+    def update(self) -> None:
+        """Copies the robot's configuration from the env."""
+        layout, engine = self.engine.scene.layout, self.engine
+        self.data.qpos[:] = engine.qpos[self.row]
+        for x_address in (layout.planar_qpos[0], layout.root_qpos):
+            self.data.qpos[x_address : x_address + 2] += engine.odometer[self.row]
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    def pose(self) -> tuple[float, float, float]:
+        """Position (m) and heading (rad, not wrapped) of the board."""
+        x, y, heading = self.data.qpos[self.engine.scene.layout.planar_qpos]
+        return float(x), float(y), float(heading)

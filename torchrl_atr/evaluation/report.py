@@ -1,0 +1,108 @@
+"""The files of an evaluation: ``metrics.json``, ``tracking.npz`` and the figures, each written atomically."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchrl_atr.evaluation.estimators import EstimatorErrors
+from torchrl_atr.evaluation.tracking import TrackingResult
+
+_ESTIMATORS = "estimators."
+
+
+@contextmanager
+def atomic(path: str | Path) -> Iterator[Path]:
+    """A path to write to; it becomes ``path``, whole, when the block ends without an error.
+
+    The temporary file has the same suffix, since writers choose formats by it.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_report(
+    result: TrackingResult, metrics: Mapping[str, Any], output_dir: str | Path
+) -> dict[str, Path]:
+    """Writes ``metrics.json``, ``tracking.npz``, ``heatmaps.png``, ``response.png`` and ``command_area.png``.
+
+    Args:
+        result: of :func:`~torchrl_atr.evaluation.evaluate_tracking`.
+        metrics: of :func:`~torchrl_atr.evaluation.tracking_metrics`; more entries are welcome.
+        output_dir: made if it does not exist.
+
+    Returns:
+        The files by name.
+
+    Raises:
+        ValueError: if ``metrics`` holds NaN or infinity, which JSON cannot.
+    """
+    from torchrl_atr.evaluation import figures  # imports matplotlib
+
+    folder = Path(output_dir)
+    paths = {name: folder / name for name in ("metrics.json", "tracking.npz")}
+    with atomic(paths["metrics.json"]) as file:
+        file.write_text(
+            json.dumps(metrics, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8"
+        )
+    save_tracking(result, paths["tracking.npz"])
+    plots = {
+        "heatmaps.png": figures.plot_heatmaps,
+        "response.png": figures.plot_response,
+        "command_area.png": figures.plot_command_area,
+    }
+    for name, plot in plots.items():
+        paths[name] = plot(result, folder / name)
+    return paths
+
+
+def save_tracking(result: TrackingResult, path: str | Path) -> Path:
+    """Writes all figures of all trials as one ``.npz`` file; :func:`load_tracking` reads it back."""
+    arrays = {f.name: getattr(result, f.name) for f in fields(result) if f.name != "estimators"}
+    if result.estimators is not None:
+        own = {f.name: getattr(result.estimators, f.name) for f in fields(result.estimators)}
+        arrays |= {_ESTIMATORS + name: value for name, value in own.items() if value is not None}
+    with atomic(path) as file:
+        np.savez_compressed(file, **{name: np.asarray(value) for name, value in arrays.items()})  # type: ignore[arg-type]
+    return Path(path)
+
+
+def load_tracking(path: str | Path) -> TrackingResult:
+    """Reads what :func:`save_tracking` wrote.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        KeyError: if an array is missing.
+    """
+    with np.load(path) as file:
+        arrays = {name: _plain(file[name]) for name in file.files}
+    missing = [f.name for f in fields(TrackingResult) if f.name != "estimators" and f.name not in arrays]
+    if missing:
+        raise KeyError(
+            f"{path} lacks {', '.join(missing)}: not a tracking file, or an old one; evaluate again"
+        )
+    own = {
+        name.removeprefix(_ESTIMATORS): arrays.pop(name)
+        for name in list(arrays)
+        if name.startswith(_ESTIMATORS)
+    }
+    return TrackingResult(**arrays, estimators=EstimatorErrors(**own) if own else None)
+
+
+def _plain(array: np.ndarray) -> Any:
+    if array.dtype.kind == "U" or array.size == 0:
+        return tuple(str(item) for item in array)
+    return float(array) if array.ndim == 0 else array

@@ -1,0 +1,293 @@
+"""Command tracking of a policy: every command of a grid, several robots each, from rest (Section V-A)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.evaluation.access import command_owner, extrinsic_names, platform_speeds
+from torchrl_atr.evaluation.estimators import EstimatorErrors, EstimatorSums
+from torchrl_atr.modules.keys import NetworkKeys
+
+Array = NDArray[np.float64]
+MAX_ROBOTS = 1024
+"""Robots simulated at once; larger evaluations go in chunks."""
+_TOLERANCE = 1e-9
+
+
+class MakeEnv(Protocol):
+    """Builds a chunk's env, such as ``partial(make_riding_env, "a1", "single_board", pushes=False)``."""
+
+    def __call__(self, *, num_envs: int, seed: int) -> EnvBase:
+        """An env of ``num_envs`` robots whose transform pins commands."""
+        ...
+
+
+@dataclass(frozen=True)
+class TrackingResult:
+    """One figure per trial: arrays are (V, W, R), for V speeds, W yaw rates and R robots, unless noted.
+
+    Attributes:
+        speed_commands: c_v, m/s, (V,).
+        yaw_commands: c_ω, rad/s, (W,).
+        rms_speed_error: root mean square of v - c_v over the whole trial, or up to the fall, m/s.
+        rms_yaw_error: the same of ω - c_ω, rad/s.
+        settled_speed_error: mean |v - c_v| after the settling time, m/s; NaN if the robot fell before.
+        settled_yaw_error: mean |ω - c_ω|, rad/s.
+        settled_speed: mean v after the settling time, m/s.
+        settled_yaw_rate: mean ω, rad/s.
+        fall_time: seconds until the fall; NaN for a survivor.
+        seconds: length of a trial.
+        settle: seconds at its start that the settled figures leave out.
+        policy_reads: the policy's ``in_keys``: evidence that nothing privileged was among them.
+        estimators: errors of the policy's estimates, if it writes any.
+    """
+
+    speed_commands: Array
+    yaw_commands: Array
+    rms_speed_error: Array
+    rms_yaw_error: Array
+    settled_speed_error: Array
+    settled_yaw_error: Array
+    settled_speed: Array
+    settled_yaw_rate: Array
+    fall_time: Array
+    seconds: float
+    settle: float
+    policy_reads: tuple[str, ...] = ()
+    estimators: EstimatorErrors | None = None
+
+    @property
+    def survived(self) -> NDArray[np.bool_]:
+        """Trials without a fall, (V, W, R)."""
+        return np.isnan(self.fall_time)
+
+
+def command_grid(
+    v_max: float = 2.0, w_max: float = 1.0, v_step: float = 1.0, w_step: float = 0.25
+) -> tuple[Array, Array]:
+    """The commands [-v_max, v_max] x [-w_max, w_max]: speeds (V,) in m/s and yaw rates (W,) in rad/s.
+
+    Raises:
+        ValueError: if a step is not positive or does not divide its range.
+
+    Example:
+        >>> speeds, yaw_rates = command_grid()
+        >>> speeds.tolist(), len(yaw_rates)
+        ([-2.0, -1.0, 0.0, 1.0, 2.0], 9)
+    """
+    return _axis("v", v_max, v_step), _axis("w", w_max, w_step)
+
+
+def _axis(name: str, limit: float, step: float) -> Array:
+    cells = round(limit / step) if step > 0 else -1
+    if cells < 0 or abs(cells * step - limit) > _TOLERANCE * max(1.0, limit):
+        raise ValueError(f"{name}_step={step} must be positive and divide {name}_max={limit}")
+    return np.arange(-cells, cells + 1, dtype=np.float64) * step
+
+
+def evaluate_tracking(
+    policy: TensorDictModuleBase,
+    make_env: MakeEnv,
+    commands: tuple[ArrayLike, ArrayLike] | None = None,
+    robots_per_command: int = 8,
+    seconds: float = 10.0,
+    settle: float = 5.0,
+    seed: int = 0,
+    *,
+    encoder_module: TensorDictModuleBase | None = None,
+    speeds: Callable[[EnvBase], Tensor] = platform_speeds,
+    dt: float = CONTROL_DT,
+    keys: NetworkKeys | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> TrackingResult:
+    """Rides every command from rest and measures how well it is kept.
+
+    Actions are the distribution's deterministic sample. The policy is handed its own ``in_keys`` and nothing
+    else. Each robot has intrinsics of its own. Nothing is reset: a robot that falls stays down, and its
+    figures end there.
+
+    Args:
+        policy: writes the action; it may also write estimates.
+        make_env: called as ``make_env(num_envs=n, seed=s)``; should be without pushes.
+        commands: speeds (V,) and yaw rates (W,), all pairs of them; :func:`command_grid` by default.
+        robots_per_command: R.
+        seconds: length of a trial.
+        settle: seconds at its start that the settled figures leave out.
+        seed: of the first chunk's env; the next ones count on from it.
+        encoder_module: reads the env's intrinsics and writes the latent, for the latent estimate's error.
+        speeds: measures forward speed and yaw rate of an env's robots, (N, 2).
+        dt: control period, s.
+        keys: names of the TensorDict entries, if the env has its own.
+        progress: called with (steps done, steps in total) after every step.
+
+    Returns:
+        The figures of all V x W x R trials.
+
+    Raises:
+        ValueError: for impossible numbers, or if ``make_env`` built another number of robots.
+        TypeError: if the env cannot pin commands, or cannot be measured.
+
+    Example:
+        >>> from functools import partial
+        >>> from torchrl_atr.envs import make_riding_env  # doctest: +SKIP
+        >>> make_env = partial(make_riding_env, "a1", "single_board", pushes=False)  # doctest: +SKIP
+        >>> result = evaluate_tracking(networks.deployed_policy(), make_env)  # doctest: +SKIP
+    """
+    grid = command_grid() if commands is None else commands
+    axes = [np.asarray(axis, dtype=np.float64).reshape(-1) for axis in grid]
+    total, settled = round(seconds / dt), round(settle / dt)
+    if not 0 <= settled < total:
+        raise ValueError(
+            f"settle={settle} s must be shorter than the trial, seconds={seconds}, and not negative"
+        )
+    if robots_per_command < 1 or not all(axis.size and np.isfinite(axis).all() for axis in axes):
+        raise ValueError("need at least one robot per command, and one finite speed and yaw rate")
+    pairs = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
+    trials = torch.as_tensor(np.repeat(pairs, robots_per_command, axis=0), dtype=torch.float32)
+    chunks = trials.split(MAX_ROBOTS)
+    outcomes = []
+    for number, chunk in enumerate(chunks):
+        env = _build(make_env, len(chunk), seed + number)
+        ride = _Ride(policy, env, chunk, speeds, encoder_module, keys or NetworkKeys())
+        ride.run(total, partial(_report, progress, number * total, len(chunks) * total))
+        outcomes.append(ride)
+        env.close(raise_if_closed=False)
+    shape = (*(len(axis) for axis in axes), robots_per_command)
+    figures = [summarise(r.measured, r.alive, r.commands, dt, settled) for r in outcomes]
+    joined = {name: np.concatenate([f[name] for f in figures]).reshape(shape) for name in figures[0]}
+    return TrackingResult(
+        speed_commands=axes[0],
+        yaw_commands=axes[1],
+        **joined,
+        seconds=total * dt,
+        settle=settled * dt,
+        policy_reads=tuple(_name(key) for key in policy.in_keys),
+        estimators=EstimatorErrors.join([r.sums.result() for r in outcomes], shape),
+    )
+
+
+def _report(progress: Callable[[int, int], None] | None, before: int, total: int, step: int) -> None:
+    if progress is not None:
+        progress(before + step, total)
+
+
+def _build(make_env: MakeEnv, num_envs: int, seed: int) -> EnvBase:
+    env = make_env(num_envs=num_envs, seed=seed)
+    if env.batch_size != torch.Size([num_envs]):
+        raise ValueError(f"make_env(num_envs={num_envs}) built an env of batch size {tuple(env.batch_size)}")
+    return env
+
+
+class _Ride:
+    """One chunk of robots, ridden once: what was measured (T, n, 2) and who was up (T + 1, n)."""
+
+    def __init__(
+        self,
+        policy: TensorDictModuleBase,
+        env: EnvBase,
+        commands: Tensor,
+        speeds: Callable[[EnvBase], Tensor],
+        encoder: TensorDictModuleBase | None,
+        keys: NetworkKeys,
+    ) -> None:
+        self.policy, self.env, self.commands, self.speeds, self.keys = policy, env, commands, speeds, keys
+        self.sums = EstimatorSums(len(commands), encoder, keys, lambda size: extrinsic_names(env, size))
+        self._measured: list[Tensor] = []
+        self._alive: list[Tensor] = []
+
+    @property
+    def measured(self) -> Array:
+        return torch.stack(self._measured).double().numpy()
+
+    @property
+    def alive(self) -> NDArray[np.bool_]:
+        """Whether each robot was up at the start of each step, and at the end in the last row, (T + 1, n)."""
+        return torch.stack(self._alive).numpy()
+
+    def run(self, total: int, report: Callable[[int], None]) -> None:
+        """Rides ``total`` steps from a reset, reporting the number done after each."""
+        command_owner(self.env).pin(self.commands)
+        was_training = self.policy.training
+        self.policy.eval()
+        try:
+            with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+                td = self.env.reset()
+                self._alive.append(torch.ones(len(self.commands), dtype=torch.bool))
+                for step in range(1, total + 1):
+                    td = self._step(td)
+                    report(step)
+        finally:
+            self.policy.train(was_training)
+
+    def _step(self, td: TensorDictBase) -> TensorDictBase:
+        alive = self._alive[-1]
+        decided = self.policy(td.select(*self.policy.in_keys, strict=False))
+        self.sums.add(td, decided, alive)
+        td = td.update(decided)
+        # what a fallen robot's policy says may be anything; the env would refuse a NaN
+        td[self.keys.action] = td[self.keys.action].where(alive.unsqueeze(-1), torch.zeros(()))
+        td = self.env.step(td)
+        self._measured.append(self.speeds(self.env))
+        self._alive.append(alive & ~td["next", "terminated"].reshape(-1))
+        return step_mdp(td)
+
+
+def summarise(
+    measured: Array, alive: NDArray[np.bool_], commands: ArrayLike, dt: float, settled: int
+) -> dict[str, Array]:
+    """The figures of n trials; a trial counts up to and including the step of its fall.
+
+    Args:
+        measured: forward speed (m/s) and yaw rate (rad/s) after each step, (T, n, 2).
+        alive: whether a robot was up at the start of each step, and at the end in the last row, (T + 1, n).
+        commands: (n, 2).
+        dt: control period, s.
+        settled: steps that the settled figures leave out.
+
+    Returns:
+        :class:`TrackingResult`'s figures by name, (n,) each.
+
+    Example:
+        >>> figures = summarise(np.ones((4, 1, 2)), np.ones((5, 1), bool), [[1.0, 0.5]], 0.02, 2)
+        >>> float(figures["rms_speed_error"][0]), float(figures["settled_yaw_error"][0])
+        (0.0, 0.5)
+    """
+    counted, commands = alive[:-1], np.asarray(commands, dtype=np.float64)
+    error = measured - commands
+    rms = np.sqrt(_mean(error**2, counted))
+    absolute = _mean(np.abs(error[settled:]), counted[settled:])
+    mean = _mean(measured[settled:], counted[settled:])
+    return {
+        "rms_speed_error": rms[:, 0],
+        "rms_yaw_error": rms[:, 1],
+        "settled_speed_error": absolute[:, 0],
+        "settled_yaw_error": absolute[:, 1],
+        "settled_speed": mean[:, 0],
+        "settled_yaw_rate": mean[:, 1],
+        "fall_time": np.where(alive[-1], math.nan, counted.sum(0) * dt),
+    }
+
+
+def _mean(values: Array, counted: NDArray[np.bool_]) -> Array:
+    """Mean over time of (T, n, 2) where counted (T, n); NaN where nothing is."""
+    total = np.where(counted[..., None], values, 0.0).sum(0)
+    count = counted.sum(0).astype(np.float64)[:, None]
+    return np.divide(total, count, out=np.full_like(total, math.nan), where=count > 0)
+
+
+def _name(key: NestedKey) -> str:
+    return key if isinstance(key, str) else ".".join(key)

@@ -1,0 +1,171 @@
+"""A video of a policy riding a sequence of commands, made without a display."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.evaluation.access import command_owner, platform_speeds
+from torchrl_atr.evaluation.rendering import CHASE, Picture
+from torchrl_atr.evaluation.report import atomic
+
+Command = tuple[float, float, float]
+DEFAULT_RIDE: tuple[Command, ...] = (
+    (0.0, 0.0, 0.0),
+    (2.0, 1.0, 0.0),
+    (7.0, 2.0, 0.5),
+    (12.0, 2.0, -0.5),
+    (17.0, 0.0, 0.0),
+)
+"""From which second on, which c_v (m/s) and c_ω (rad/s)."""
+_SUFFIXES = {".mp4": "h264", ".gif": "gif"}
+
+
+@dataclass(frozen=True)
+class Ride:
+    """What a recorded ride came to: control steps, pictures written, falls of the robot that is shown."""
+
+    steps: int
+    frames: int
+    falls: int
+
+
+def command_at(commands: Sequence[Command], time: float) -> tuple[float, float]:
+    """The command in force at ``time``: the last one that has begun, or the first.
+
+    Example:
+        >>> command_at([(0.0, 1.0, 0.0), (2.0, 1.0, 0.5)], 2.5)
+        (1.0, 0.5)
+    """
+    begun = [entry for entry in commands if entry[0] <= time + 1e-9]
+    return (begun[-1] if begun else commands[0])[1:]
+
+
+def record_video(
+    policy: TensorDictModuleBase,
+    env: EnvBase,
+    path: str | Path,
+    commands: Sequence[Command] = DEFAULT_RIDE,
+    seconds: float = 20.0,
+    fps: float = 25.0,
+    camera: str = CHASE,
+    size: tuple[int, int] = (640, 480),
+) -> Ride:
+    """Rides ``commands`` with the policy's deterministic action and writes a video of the env's first robot.
+
+    Command, speed and yaw rate are drawn into the picture. A robot that falls starts anew, which is counted.
+    The file appears when it is complete. Needs the extra ``video``.
+
+    Args:
+        policy: writes the action.
+        env: of :func:`~torchrl_atr.envs.make_riding_env`; its first robot is shown. Left unpinned.
+        path: ``.mp4`` or ``.gif``.
+        commands: (second, c_v in m/s, c_ω in rad/s), in the order of time.
+        seconds: length.
+        fps: pictures per second; the nearest whole number of control steps between pictures is taken.
+        camera: ``"chase"`` or the name of a camera of the model.
+        size: width and height, pixels.
+
+    Returns:
+        Steps, pictures and falls.
+
+    Raises:
+        ValueError: for an unknown suffix or camera, no commands, or commands out of the curriculum's grid.
+        ImportError: if mediapy or imageio-ffmpeg is missing.
+        RuntimeError: if nothing here can render; says what to install.
+
+    Example:
+        >>> record_video(networks.deployed_policy(), env, "ride.mp4")  # doctest: +SKIP
+    """
+    codec = _SUFFIXES.get(Path(path).suffix.lower())
+    if codec is None:
+        raise ValueError(
+            f"cannot write {Path(path).name!r}; choose a name that ends in {' or '.join(_SUFFIXES)}"
+        )
+    if not commands or seconds <= 0 or fps <= 0:
+        raise ValueError("a video needs at least one command, and positive seconds and fps")
+    media = _mediapy()
+    every = max(1, round(1.0 / (fps * CONTROL_DT)))
+    period, shape, frames, falls = every * CONTROL_DT, (size[1], size[0]), 0, 0
+    with (
+        Picture(env, size, camera) as picture,
+        atomic(path) as file,
+        media.VideoWriter(file, shape, fps=1.0 / period, codec=codec) as writer,
+    ):
+        for step, (command, fell) in enumerate(
+            ride(policy, env, commands, round(seconds / CONTROL_DT)), start=1
+        ):
+            falls += fell
+            if step % every == 0:
+                names, values = _caption(step * CONTROL_DT, command, platform_speeds(env)[0].tolist(), falls)
+                writer.add_image(picture.render(names, values, period))
+                frames += 1
+    return Ride(steps=step, frames=frames, falls=falls)
+
+
+def ride(
+    policy: TensorDictModuleBase, env: EnvBase, commands: Sequence[Command], steps: int
+) -> Iterator[tuple[tuple[float, float], bool]]:
+    """Steps ``env``, pinned to ``commands``; yields each step's command and whether robot 0 fell in it.
+
+    A robot that falls is reset, so that the next yield shows it standing again.
+    """
+    owner, command = command_owner(env), command_at(commands, 0.0)
+    owner.pin(command)
+    try:
+        with _deterministic(policy):
+            td = env.reset()
+        for step in range(steps):
+            upcoming = command_at(commands, (step + 1) * CONTROL_DT)
+            owner.pin(upcoming)  # shows in the observation after this step
+            with _deterministic(policy):
+                stepped, td = env.step_and_maybe_reset(policy(td))
+            yield command, bool(stepped["next", "terminated"].reshape(-1)[0])
+            command = upcoming
+    finally:
+        owner.unpin()
+
+
+@contextmanager
+def _deterministic(policy: TensorDictModuleBase) -> Iterator[None]:
+    was_training = policy.training
+    policy.eval()
+    try:
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            yield
+    finally:
+        policy.train(was_training)
+
+
+def _caption(
+    time: float, command: tuple[float, float], speeds: Sequence[float], falls: int
+) -> tuple[str, str]:
+    rows = {
+        "time": f"{time:5.1f} s",
+        "speed": f"{speeds[0]:+5.2f} m/s   (asked {command[0]:+.2f})",
+        "yaw rate": f"{speeds[1]:+5.2f} rad/s (asked {command[1]:+.2f})",
+    }
+    if falls:
+        rows["falls"] = str(falls)
+    return "\n".join(rows), "\n".join(rows.values())
+
+
+def _mediapy() -> Any:
+    try:
+        import imageio_ffmpeg
+        import mediapy
+    except ImportError as error:
+        raise ImportError(
+            "videos need mediapy and imageio-ffmpeg: pip install 'torchrl_atr[video]'"
+        ) from error
+    mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
+    return mediapy

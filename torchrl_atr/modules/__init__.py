@@ -1,0 +1,44 @@
+"""Networks as TensorDictModules: they know keys and shapes, never an env.
+
+The encoder, the estimators (a registry and a conformance check), the actor, the critic, what the actor acts
+on, and :func:`make_networks`, which builds them all from an env's specs.
+"""
+
+from torchrl_atr.modules.act_source import SOURCES, ActSource, AssignActSource, Source
+from torchrl_atr.modules.actor import ActorBackbone, StateIndependentStd, make_actor
+from torchrl_atr.modules.checks import check_estimator
+from torchrl_atr.modules.critic import AsymmetricCritic
+from torchrl_atr.modules.encoder import IntrinsicEncoder
+from torchrl_atr.modules.estimators import (
+    CNNGRUEstimator,
+    MLPEstimator,
+    available_estimators,
+    get_estimator,
+    register_estimator,
+)
+from torchrl_atr.modules.keys import NetworkKeys
+from torchrl_atr.modules.networks import NormalizedEstimator, RidingNetworks, make_networks
+from torchrl_atr.modules.normalization import RunningNormalizer
+
+__all__ = [
+    "SOURCES",
+    "ActSource",
+    "ActorBackbone",
+    "AssignActSource",
+    "AsymmetricCritic",
+    "CNNGRUEstimator",
+    "IntrinsicEncoder",
+    "MLPEstimator",
+    "NetworkKeys",
+    "NormalizedEstimator",
+    "RidingNetworks",
+    "RunningNormalizer",
+    "Source",
+    "StateIndependentStd",
+    "available_estimators",
+    "check_estimator",
+    "get_estimator",
+    "make_actor",
+    "make_networks",
+    "register_estimator",
+]

@@ -1,0 +1,47 @@
+"""The asymmetric critic (reading A20): it sees everything, since only the actor is deployed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torchrl.modules import MLP
+
+from torchrl_atr.modules.normalization import RunningNormalizer
+
+
+class AsymmetricCritic(nn.Module):
+    """Value of the full state: observation, intrinsic parameters and extrinsic state (reading A20).
+
+    It has its own MLP and shares only the (frozen between updates) normalisers with the actor.
+
+    Args:
+        observation_norm, extrinsic_norm (RunningNormalizer): shared with the actor.
+        intrinsic_features (int): size of ``("privileged", "intrinsic")``, scaled to [-1, 1] by the env.
+        cells (sequence of int): hidden widths. Defaults to ``(512, 256, 128)``.
+
+    Examples:
+        >>> import torch
+        >>> critic = AsymmetricCritic(RunningNormalizer(5), RunningNormalizer(4), 6)
+        >>> critic(torch.zeros(7, 5), torch.zeros(7, 6), torch.zeros(7, 4)).shape
+        torch.Size([7, 1])
+    """
+
+    def __init__(
+        self,
+        observation_norm: RunningNormalizer,
+        extrinsic_norm: RunningNormalizer,
+        intrinsic_features: int,
+        cells: Sequence[int] = (512, 256, 128),
+    ) -> None:
+        super().__init__()
+        self.observation_norm = observation_norm
+        self.extrinsic_norm = extrinsic_norm
+        in_features = observation_norm.shape.numel() + intrinsic_features + extrinsic_norm.shape.numel()
+        self.net = MLP(in_features, 1, num_cells=list(cells), activation_class=nn.ELU)
+
+    def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor) -> Tensor:
+        """Return the value, (*B, 1), from (*B, O), (*B, I) and (*B, E) (SI units)."""
+        inputs = (self.observation_norm(observation), intrinsic, self.extrinsic_norm(extrinsic))
+        return self.net(torch.cat(inputs, -1))

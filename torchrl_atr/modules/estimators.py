@@ -1,0 +1,181 @@
+"""State estimators: what a history of observations says about what the robot cannot sense.
+
+An estimator is ``factory(history_shape=(H, D), out_features, **kw) -> nn.Module`` whose module maps a history
+``(*B, H, D)``, oldest first, to ``(*B, out_features)``. Two are registered here: ``"cnn_gru"`` (Table I) and
+``"mlp"``; :func:`register_estimator` adds yours, :func:`torchrl_atr.modules.check_estimator` tests it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torchrl.modules import MLP
+
+from torchrl_atr._registry import Registry, UnknownNameError
+
+EstimatorFactory = Callable[..., nn.Module]
+_ESTIMATORS: Registry[EstimatorFactory] = Registry("estimator")
+
+
+def register_estimator(name: str, factory: EstimatorFactory | None = None) -> Any:
+    """Make an estimator available by name, as a call or as a decorator.
+
+    Args:
+        name (str): the name that configurations and :func:`get_estimator` use.
+        factory (callable, optional): ``factory(history_shape=(H, D), out_features, **kw) -> nn.Module``;
+            without it a decorator is returned.
+
+    Returns:
+        The factory unchanged, or the decorator.
+
+    Raises:
+        ValueError: if the name is empty or is taken.
+        TypeError: if the factory is not callable.
+
+    Examples:
+        >>> from torch import nn
+        >>> @register_estimator("newest_only")
+        ... class NewestOnly(nn.Module):
+        ...     def __init__(self, history_shape, out_features):
+        ...         super().__init__()
+        ...         self.head = nn.Linear(history_shape[-1], out_features)
+        ...
+        ...     def forward(self, history):
+        ...         return self.head(history[..., -1, :])
+        >>> "newest_only" in available_estimators()
+        True
+    """
+    if factory is None:
+        return lambda decorated: register_estimator(name, decorated)
+    if not isinstance(name, str) or not name:
+        raise ValueError(f"An estimator name must be a non-empty string, got {name!r}.")
+    if not callable(factory):
+        raise TypeError(f"The factory of estimator {name!r} must be callable, got {type(factory).__name__}.")
+    return _ESTIMATORS.register(name, factory)
+
+
+def get_estimator(name: str) -> EstimatorFactory:
+    """Return the factory registered under ``name``.
+
+    Raises:
+        UnknownNameError: (a ``ValueError`` and a ``KeyError``) if there is none; the message lists those
+            there are.
+
+    Examples:
+        >>> get_estimator("cnn_gru").__name__
+        'CNNGRUEstimator'
+    """
+    try:
+        return _ESTIMATORS.get(name)
+    except UnknownNameError as error:
+        raise UnknownNameError(
+            f"{error}; add yours with register_estimator(name, factory) in a module that is imported first"
+        ) from None
+
+
+def available_estimators() -> tuple[str, ...]:
+    """Return the registered names.
+
+    Examples:
+        >>> {"cnn_gru", "mlp"} <= set(available_estimators())
+        True
+    """
+    return _ESTIMATORS.names()
+
+
+def _check_history(history: Tensor, history_shape: tuple[int, int]) -> None:
+    if tuple(history.shape[-2:]) != history_shape:
+        raise ValueError(
+            f"This estimator was built for a history of shape (*, {history_shape[0]}, {history_shape[1]}), "
+            f"oldest first; got {tuple(history.shape)}."
+        )
+
+
+@register_estimator("cnn_gru")
+class CNNGRUEstimator(nn.Module):
+    """CNN-GRU + MLP estimator of Table I (reading A26), stateless on the history window.
+
+    Two convolutions over time shorten the window, a GRU reads the few steps that are left, an MLP maps its
+    last state to the estimate. The first convolution has stride ``round(H / 5)`` and twice that as kernel:
+    with H = 10 the GRU sees 3 steps, and a longer window costs no more. A window that the stride does not
+    divide is padded at its oldest end with the oldest sample, so every sample counts.
+
+    Args:
+        history_shape (tuple of int): ``(H, D)``, any ``H >= 1``.
+        out_features (int): size of the estimate.
+        channels (int): channels of both convolutions. Defaults to 32.
+        gru_features (int): width of the GRU. Defaults to 128.
+        mlp_cells (sequence of int): hidden widths of the head. Defaults to ``(128,)``.
+
+    Examples:
+        >>> import torch
+        >>> CNNGRUEstimator((10, 46), 16)(torch.zeros(2, 3, 10, 46)).shape
+        torch.Size([2, 3, 16])
+    """
+
+    def __init__(
+        self,
+        history_shape: tuple[int, int],
+        out_features: int,
+        channels: int = 32,
+        gru_features: int = 128,
+        mlp_cells: Sequence[int] = (128,),
+    ) -> None:
+        super().__init__()
+        length, features = self.history_shape = (int(history_shape[0]), int(history_shape[1]))
+        if length < 1:
+            raise ValueError(f"history_shape must be (H, D) with H >= 1, got {tuple(history_shape)}.")
+        stride = max(1, round(length / 5))
+        kernel = min(2 * stride, length)
+        self.padding = (kernel - length) % stride
+        steps = (length + self.padding - kernel) // stride + 1
+        self.convolutions = nn.Sequential(
+            nn.Conv1d(features, channels, kernel, stride),
+            nn.ELU(),
+            nn.Conv1d(channels, channels, min(2, steps)),
+            nn.ELU(),
+        )
+        self.gru = nn.GRU(channels, gru_features, batch_first=True)
+        self.head = MLP(gru_features, out_features, num_cells=list(mlp_cells), activation_class=nn.ELU)
+
+    def forward(self, history: Tensor) -> Tensor:
+        """Map (*B, H, D), oldest first, to (*B, out_features)."""
+        _check_history(history, self.history_shape)
+        x = history.reshape(-1, *self.history_shape).transpose(-1, -2)
+        if self.padding:
+            x = nn.functional.pad(x, (self.padding, 0), mode="replicate")
+        x = self.convolutions(x).transpose(-1, -2)
+        out = self.head(self.gru(x)[0][:, -1])
+        return out.reshape(*history.shape[:-2], out.shape[-1])
+
+
+@register_estimator("mlp")
+class MLPEstimator(nn.Module):
+    """MLP on the flattened history: the simplest estimator, and a baseline for the others.
+
+    Args:
+        history_shape (tuple of int): ``(H, D)``.
+        out_features (int): size of the estimate.
+        cells (sequence of int): hidden widths. Defaults to ``(256, 128)``.
+
+    Examples:
+        >>> import torch
+        >>> MLPEstimator((10, 46), 16)(torch.zeros(4, 10, 46)).shape
+        torch.Size([4, 16])
+    """
+
+    def __init__(
+        self, history_shape: tuple[int, int], out_features: int, cells: Sequence[int] = (256, 128)
+    ) -> None:
+        super().__init__()
+        self.history_shape = (int(history_shape[0]), int(history_shape[1]))
+        size = self.history_shape[0] * self.history_shape[1]
+        self.net = MLP(size, out_features, num_cells=list(cells), activation_class=nn.ELU)
+
+    def forward(self, history: Tensor) -> Tensor:
+        """Map (*B, H, D) to (*B, out_features)."""
+        _check_history(history, self.history_shape)
+        return self.net(torch.flatten(history, -2))

@@ -1,0 +1,30 @@
+"""The TensorDict keys that the networks read and write."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tensordict import NestedKey
+
+
+@dataclass(frozen=True)
+class NetworkKeys:
+    """Names of the entries that networks and loss meet on; rename any of them for an env with its own names.
+
+    Examples:
+        >>> NetworkKeys(observation=("agent", "obs")).observation
+        ('agent', 'obs')
+    """
+
+    observation: NestedKey = "observation"
+    history: NestedKey = "history"
+    intrinsic: NestedKey = ("privileged", "intrinsic")
+    extrinsic: NestedKey = ("privileged", "extrinsic")
+    latent: NestedKey = ("latent", "intrinsic")
+    intrinsic_estimate: NestedKey = ("estimate", "intrinsic")
+    extrinsic_estimate: NestedKey = ("estimate", "extrinsic")
+    act_intrinsic: NestedKey = ("act", "intrinsic")
+    act_extrinsic: NestedKey = ("act", "extrinsic")
+    student: NestedKey = ("act", "student")
+    action: NestedKey = "action"
+    state_value: NestedKey = "state_value"

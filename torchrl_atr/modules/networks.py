@@ -1,0 +1,275 @@
+"""All networks of RL-ATR around one set of parameters, and the policies that are views of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain
+from typing import Any
+
+from tensordict import NestedKey, TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import Tensor, nn
+from torchrl.data import Composite, TensorSpec
+from torchrl.modules import ProbabilisticActor, ValueOperator
+
+from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, check_source
+from torchrl_atr.modules.actor import ActorBackbone, make_actor
+from torchrl_atr.modules.critic import AsymmetricCritic
+from torchrl_atr.modules.encoder import IntrinsicEncoder
+from torchrl_atr.modules.estimators import get_estimator
+from torchrl_atr.modules.keys import NetworkKeys
+from torchrl_atr.modules.normalization import RunningNormalizer
+
+
+class NormalizedEstimator(nn.Module):
+    """An estimator between two normalisers: raw history in, estimate in the units of its target out.
+
+    Args:
+        net (nn.Module): maps (*B, H, D) to (*B, out_features), both normalised.
+        input_norm (RunningNormalizer): of one observation, (D,); applied to every step of the history.
+        output_norm (RunningNormalizer, optional): of the target; its inverse is applied to the output.
+            Without it the output is returned as it is.
+
+    Examples:
+        >>> import torch
+        >>> estimator = NormalizedEstimator(get_estimator("mlp")((4, 5), 3), RunningNormalizer(5))
+        >>> estimator(torch.zeros(2, 4, 5)).shape
+        torch.Size([2, 3])
+    """
+
+    def __init__(
+        self, net: nn.Module, input_norm: RunningNormalizer, output_norm: RunningNormalizer | None = None
+    ) -> None:
+        super().__init__()
+        self.net = net
+        self.input_norm = input_norm
+        self.output_norm = output_norm
+
+    def forward(self, history: Tensor) -> Tensor:
+        """Map a raw history (*B, H, D) to the estimate (*B, out_features)."""
+        out = self.net(self.input_norm(history))
+        return out if self.output_norm is None else self.output_norm.inverse(out)
+
+
+class RidingNetworks(nn.Module):
+    """The five networks of Table I and the critic; every policy made here shares their parameters.
+
+    Build it with :func:`make_networks`. The TensorDictModules it returns are views: making one costs
+    nothing and training one trains the networks.
+
+    Args:
+        obs_norm, ext_norm (RunningNormalizer): of the observation and of the extrinsic state (SI units).
+        encoder (nn.Module): intrinsic parameters to latent.
+        intrinsic_estimator, extrinsic_estimator (NormalizedEstimator): history to latent, to extrinsic state.
+        backbone (ActorBackbone): the actor.
+        critic (AsymmetricCritic): the value.
+        keys (NetworkKeys): names of the entries.
+    """
+
+    def __init__(
+        self,
+        *,
+        obs_norm: RunningNormalizer,
+        ext_norm: RunningNormalizer,
+        encoder: nn.Module,
+        intrinsic_estimator: NormalizedEstimator,
+        extrinsic_estimator: NormalizedEstimator,
+        backbone: ActorBackbone,
+        critic: AsymmetricCritic,
+        keys: NetworkKeys | None = None,
+    ) -> None:
+        super().__init__()
+        self.obs_norm, self.ext_norm = obs_norm, ext_norm
+        self.encoder = encoder
+        self.intrinsic_estimator, self.extrinsic_estimator = intrinsic_estimator, extrinsic_estimator
+        self.backbone = backbone
+        self.critic = critic
+        self.keys = keys or NetworkKeys()
+
+    @property
+    def encoder_module(self) -> TensorDictModule:
+        """Encoder: intrinsic parameters (*B, I) to the latent z (*B, L)."""
+        return TensorDictModule(self.encoder, in_keys=[self.keys.intrinsic], out_keys=[self.keys.latent])
+
+    @property
+    def intrinsic_estimator_module(self) -> TensorDictModule:
+        """Intrinsic estimator: history (*B, H, D) to the estimated latent (*B, L)."""
+        keys = self.keys
+        return TensorDictModule(
+            self.intrinsic_estimator, in_keys=[keys.history], out_keys=[keys.intrinsic_estimate]
+        )
+
+    @property
+    def extrinsic_estimator_module(self) -> TensorDictModule:
+        """Extrinsic estimator: history (*B, H, D) to the extrinsic state (*B, E), SI units."""
+        keys = self.keys
+        return TensorDictModule(
+            self.extrinsic_estimator, in_keys=[keys.history], out_keys=[keys.extrinsic_estimate]
+        )
+
+    @property
+    def critic_module(self) -> ValueOperator:
+        """Critic: observation and both privileged entries to the state value (*B, 1)."""
+        keys = self.keys
+        in_keys = [keys.observation, keys.intrinsic, keys.extrinsic]
+        return ValueOperator(self.critic, in_keys=in_keys, out_keys=[keys.state_value])
+
+    def training_actor(self, source: Source = "privileged") -> ProbabilisticActor:
+        """Return the actor that the loss differentiates.
+
+        With ``estimated`` and ``mixed`` it reads the estimates (and the mask) that the rollout recorded
+        instead of computing them again: the importance ratio of the first minibatch is one even after the
+        estimators moved.
+        """
+        check_source(source)
+        front = [] if source == "estimated" else [self.encoder_module]
+        return self._actor(source, *front)
+
+    def rollout_policy(
+        self, source: Source = "privileged", student_fraction: float = 0.5
+    ) -> ProbabilisticActor:
+        """Return the actor that collects; it computes and records what :meth:`training_actor` reads.
+
+        Args:
+            source (str): ``privileged``, ``estimated`` or ``mixed``.
+            student_fraction (float): with ``mixed``, the share of robots that act on the estimates.
+        """
+        check_source(source)
+        estimators = [self.intrinsic_estimator_module, self.extrinsic_estimator_module]
+        if source == "privileged":
+            return self._actor(source, self.encoder_module)
+        if source == "estimated":
+            return self._actor(source, *estimators)
+        assign = AssignActSource(student_fraction, reference=self.keys.observation, student=self.keys.student)
+        return self._actor(source, self.encoder_module, *estimators, assign)
+
+    def deployed_policy(self) -> ProbabilisticActor:
+        """Return the policy of the real robot: it reads history and observation, nothing privileged."""
+        return self.rollout_policy("estimated")
+
+    def update_normalizers(self, tensordict: TensorDictBase) -> None:
+        """Merge a batch's observations and extrinsic states into the running statistics.
+
+        Call it between iterations: after the epochs on a batch, before the next rollout.
+        """
+        self.obs_norm.update(tensordict.get(self.keys.observation))
+        self.ext_norm.update(tensordict.get(self.keys.extrinsic))
+
+    def policy_parameters(self) -> Iterator[nn.Parameter]:
+        """Iterate over what PPO and the ROA term train: encoder, actor and critic."""
+        return chain(self.encoder.parameters(), self.backbone.parameters(), self.critic.parameters())
+
+    def estimator_parameters(self) -> Iterator[nn.Parameter]:
+        """Iterate over what the estimator losses train: both estimators."""
+        return chain(self.intrinsic_estimator.parameters(), self.extrinsic_estimator.parameters())
+
+    def _actor(self, source: Source, *front: Any) -> ProbabilisticActor:
+        keys = self.keys
+        act_source = ActSource(
+            source,
+            latent=keys.latent,
+            extrinsic=keys.extrinsic,
+            intrinsic_estimate=keys.intrinsic_estimate,
+            extrinsic_estimate=keys.extrinsic_estimate,
+            student=keys.student,
+            act_intrinsic=keys.act_intrinsic,
+            act_extrinsic=keys.act_extrinsic,
+        )
+        return make_actor(
+            self.backbone,
+            *front,
+            act_source,
+            observation=keys.observation,
+            act_intrinsic=keys.act_intrinsic,
+            act_extrinsic=keys.act_extrinsic,
+            action=keys.action,
+        )
+
+
+def make_networks(
+    observation_spec: Composite,
+    action_spec: TensorSpec,
+    *,
+    estimator: str = "cnn_gru",
+    estimator_kwargs: Mapping[str, Any] | None = None,
+    latent_features: int = 16,
+    actor_cells: Sequence[int] = (512, 256, 128),
+    critic_cells: Sequence[int] = (512, 256, 128),
+    init_std: float = 0.3,
+    min_std: float = 0.05,
+    keys: NetworkKeys | None = None,
+) -> RidingNetworks:
+    """Build the networks of Table I for an env; every size is read from its specs.
+
+    Args:
+        observation_spec (Composite): must hold the observation (*B, O), the history (*B, H, O) and both
+            privileged entries; leading batch dimensions are ignored.
+        action_spec (TensorSpec): a leaf of shape (*B, A), or a Composite with the action key.
+        estimator (str): a registered name (:func:`torchrl_atr.modules.available_estimators`).
+        estimator_kwargs (mapping, optional): passed to the estimator's factory.
+        latent_features (int): size of z. Defaults to 16.
+        actor_cells (sequence of int): hidden widths of the actor.
+        critic_cells (sequence of int): hidden widths of the critic.
+        init_std (float): initial exploration, in units of the action.
+        min_std (float): its floor.
+        keys (NetworkKeys, optional): names of the entries, if the env has its own.
+
+    Returns:
+        RidingNetworks
+
+    Raises:
+        KeyError: if a spec lacks an entry. ValueError: if the history does not match the observation, or the
+            estimator is unknown.
+
+    Examples:
+        >>> from torchrl.data import Composite, Unbounded
+        >>> spec = Composite(
+        ...     observation=Unbounded((5,)),
+        ...     history=Unbounded((4, 5)),
+        ...     privileged=Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,))),
+        ... )
+        >>> networks = make_networks(spec, Unbounded((2,)), estimator="mlp")
+        >>> sorted(networks.deployed_policy().in_keys)
+        ['history', 'observation']
+    """
+    keys = keys or NetworkKeys()
+    (obs,) = _shape(observation_spec, keys.observation, 1)
+    history_shape = _shape(observation_spec, keys.history, 2)
+    (intrinsic,) = _shape(observation_spec, keys.intrinsic, 1)
+    (extrinsic,) = _shape(observation_spec, keys.extrinsic, 1)
+    (actions,) = _shape(action_spec, keys.action, 1)
+    if history_shape[1] != obs:
+        raise ValueError(
+            f"{keys.history!r} must end with (H, {obs}), as {keys.observation!r} has {obs} components; got "
+            f"{history_shape}. The history stacks past observations, oldest first."
+        )
+    factory, options = get_estimator(estimator), dict(estimator_kwargs or {})
+    obs_norm, ext_norm = RunningNormalizer(obs), RunningNormalizer(extrinsic)
+    return RidingNetworks(
+        obs_norm=obs_norm,
+        ext_norm=ext_norm,
+        encoder=IntrinsicEncoder(intrinsic, latent_features),
+        intrinsic_estimator=NormalizedEstimator(
+            factory(history_shape=history_shape, out_features=latent_features, **options), obs_norm
+        ),
+        extrinsic_estimator=NormalizedEstimator(
+            factory(history_shape=history_shape, out_features=extrinsic, **options), obs_norm, ext_norm
+        ),
+        backbone=ActorBackbone(obs_norm, ext_norm, latent_features, actions, actor_cells, init_std, min_std),
+        critic=AsymmetricCritic(obs_norm, ext_norm, intrinsic, critic_cells),
+        keys=keys,
+    )
+
+
+def _shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
+    """Return the last ``ndim`` sizes of ``spec[key]`` (of ``spec`` itself if it is a leaf)."""
+    if isinstance(spec, Composite):
+        if key not in spec.keys(True, True):
+            raise KeyError(
+                f"The spec has no entry {key!r}; it has {sorted(map(str, spec.keys(True, True)))}. "
+                "Add the transform that writes it, or pass keys=NetworkKeys(...) with the env's own names."
+            )
+        spec = spec[key]
+    if len(spec.shape) < ndim:
+        raise ValueError(f"The spec of {key!r} needs at least {ndim} dimension(s), got {tuple(spec.shape)}.")
+    return tuple(spec.shape[-ndim:])

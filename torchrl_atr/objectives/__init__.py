@@ -1,0 +1,6 @@
+"""Losses and schedules: PPO with regularised online adaptation (Eqs. 15-16)."""
+
+from torchrl_atr.objectives.roa import ROAClipPPOLoss
+from torchrl_atr.objectives.schedules import LinearSchedule
+
+__all__ = ["LinearSchedule", "ROAClipPPOLoss"]

@@ -1,0 +1,275 @@
+"""PPO with regularised online adaptation: the paper's Eqs. 15-16 on TorchRL's clipped PPO loss."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import Any, cast
+
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictParams, dispatch
+from torch import Tensor, nn
+from torchrl.objectives import ClipPPOLoss
+
+ADAPTATION_NETWORKS = ("encoder_network", "intrinsic_estimator_network", "extrinsic_estimator_network")
+
+
+class ROAClipPPOLoss(ClipPPOLoss):
+    r"""Clipped PPO plus the three regression terms of regularised online adaptation (Eqs. 15-16).
+
+    .. math::
+        L^{int} = \|\hat z - sg[z]\|^2 + \lambda \|sg[\hat z] - z\|^2, \qquad
+        L^{ext} = \|(\hat x - x) / \sigma\|^2
+
+    ======================  ==============================================  =========================
+    key                     value (sum over features, mean over samples)    gradient goes to
+    ======================  ==============================================  =========================
+    ``loss_objective`` ...  as in :class:`~torchrl.objectives.ClipPPOLoss`  actor and encoder; critic
+    ``loss_intrinsic``      ``intrinsic_coeff * ||zhat - sg[z]||^2``        intrinsic estimator only
+    ``loss_roa``            ``roa_coeff * ||sg[zhat] - z||^2``              encoder only
+    ``loss_extrinsic``      ``extrinsic_coeff * ||(xhat - x) / std||^2``    extrinsic estimator only
+    ======================  ==============================================  =========================
+
+    Three entry points: :meth:`forward` returns every term (what a TorchRL trainer sums);
+    :meth:`policy_loss` the PPO terms and ``loss_roa``; :meth:`adaptation_loss` the two estimator terms.
+    With the last two a recipe trains the estimators for its own number of epochs. Detached diagnostics:
+    ``latent_error`` (RMS norm of zhat - z) and ``extrinsic_error`` (RMS over all components of the error in
+    units of std, so 1 is as good as the mean).
+
+    The encoder network must share its parameters with the encoder inside the actor: PPO and ``loss_roa``
+    then add up in it, and no parameter is listed twice.
+
+    Args:
+        actor_network (ProbabilisticTensorDictSequential): the actor that is trained; it may contain the
+            encoder.
+        critic_network (TensorDictModule): the critic.
+        encoder_network (TensorDictModule): writes the latent z, (*B, L).
+        intrinsic_estimator_network (TensorDictModule): writes zhat, (*B, L).
+        extrinsic_estimator_network (TensorDictModule): writes xhat, (*B, E), in the units of its target.
+
+    Keyword Args:
+        roa_coeff (float): the paper's lambda. Defaults to 0.2.
+        intrinsic_coeff, extrinsic_coeff (float): weights of the estimator terms. Default to 1.
+        extrinsic_scale (Tensor or nn.Module with ``std``, optional): per-component std that divides the
+            extrinsic error (reading A25); a :class:`~torchrl_atr.modules.RunningNormalizer` is read at
+            every call. None is the plain sum of the paper.
+        **ppo_kwargs: passed to :class:`~torchrl.objectives.ClipPPOLoss`.
+
+    Raises:
+        ValueError: if a coefficient is negative or a scale is not positive.
+        KeyError: if a network does not write the key that the loss reads (rename with ``set_keys``).
+
+    All three coefficients can be scheduled by assignment: ``loss.roa_coeff = 0.1``.
+
+    Examples:
+        >>> import torch
+        >>> from torchrl.data import Composite, Unbounded
+        >>> from torchrl_atr.modules import make_networks
+        >>> privileged = Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,)))
+        >>> spec = Composite(observation=Unbounded((5,)), history=Unbounded((4, 5)), privileged=privileged)
+        >>> nets = make_networks(spec, Unbounded((2,)), estimator="mlp")
+        >>> loss = ROAClipPPOLoss(
+        ...     nets.training_actor(),
+        ...     nets.critic_module,
+        ...     nets.encoder_module,
+        ...     nets.intrinsic_estimator_module,
+        ...     nets.extrinsic_estimator_module,
+        ...     extrinsic_scale=nets.ext_norm,
+        ... )
+        >>> losses = loss.adaptation_loss(spec.expand(8).rand())
+        >>> sorted(key for key in losses.keys() if key.startswith("loss_"))
+        ['loss_extrinsic', 'loss_intrinsic']
+    """
+
+    @dataclass
+    class _AcceptedKeys(ClipPPOLoss._AcceptedKeys):
+        """The keys of ClipPPOLoss and those of the regression terms; all can be changed with ``set_keys``.
+
+        Attributes:
+            latent (NestedKey): what the encoder writes.
+            latent_estimate (NestedKey): what the intrinsic estimator writes, and where a recorded zhat is
+                read.
+            extrinsic (NestedKey): the true extrinsic state in the data.
+            extrinsic_estimate (NestedKey): what the extrinsic estimator writes.
+        """
+
+        latent: NestedKey = ("latent", "intrinsic")
+        latent_estimate: NestedKey = ("estimate", "intrinsic")
+        extrinsic: NestedKey = ("privileged", "extrinsic")
+        extrinsic_estimate: NestedKey = ("estimate", "extrinsic")
+
+    default_keys = _AcceptedKeys
+    tensor_keys: _AcceptedKeys  # type: ignore[assignment]
+    _schedulable_buffers = frozenset({"roa_coeff", "intrinsic_coeff", "extrinsic_coeff"})
+
+    encoder_network: TensorDictModule
+    encoder_network_params: TensorDictParams | None
+    target_encoder_network_params: TensorDictParams | None
+    intrinsic_estimator_network: TensorDictModule
+    intrinsic_estimator_network_params: TensorDictParams | None
+    target_intrinsic_estimator_network_params: TensorDictParams | None
+    extrinsic_estimator_network: TensorDictModule
+    extrinsic_estimator_network_params: TensorDictParams | None
+    target_extrinsic_estimator_network_params: TensorDictParams | None
+
+    roa_coeff: Tensor
+    intrinsic_coeff: Tensor
+    extrinsic_coeff: Tensor
+    extrinsic_norm: nn.Module | None
+    extrinsic_std: Tensor | None
+    _in_keys: list[NestedKey] | None
+    _out_keys: list[NestedKey] | None
+
+    def __init__(
+        self,
+        actor_network: ProbabilisticTensorDictSequential,
+        critic_network: TensorDictModule,
+        encoder_network: TensorDictModule,
+        intrinsic_estimator_network: TensorDictModule,
+        extrinsic_estimator_network: TensorDictModule,
+        *,
+        roa_coeff: float = 0.2,
+        intrinsic_coeff: float = 1.0,
+        extrinsic_coeff: float = 1.0,
+        extrinsic_scale: Tensor | nn.Module | None = None,
+        **ppo_kwargs: Any,
+    ) -> None:
+        super().__init__(actor_network, critic_network, **ppo_kwargs)
+        networks = (encoder_network, intrinsic_estimator_network, extrinsic_estimator_network)
+        for name, network in zip(ADAPTATION_NETWORKS, networks):
+            self._add_network(name, network)
+        device = next(self.parameters()).device
+        coefficients = {
+            "roa_coeff": roa_coeff,
+            "intrinsic_coeff": intrinsic_coeff,
+            "extrinsic_coeff": extrinsic_coeff,
+        }
+        for name, value in coefficients.items():
+            if value < 0:
+                raise ValueError(f"{name} must be >= 0, got {value}; 0 switches the term off.")
+            self.register_coeff_buffer(name, float(value), device=device)
+        self._add_scale(extrinsic_scale)
+        self._in_keys = self._out_keys = None  # they were cached before these networks existed
+
+    def _add_network(self, name: str, network: TensorDictModule) -> None:
+        if self.functional:
+            self.convert_to_functional(network, name)
+        else:
+            setattr(self, name, network)
+            setattr(self, f"{name}_params", None)
+            setattr(self, f"target_{name}_params", None)
+
+    def _add_scale(self, scale: Tensor | nn.Module | None) -> None:
+        if isinstance(scale, nn.Module) and not isinstance(getattr(scale, "std", None), Tensor):
+            raise ValueError(
+                "extrinsic_scale must be a Tensor, a RunningNormalizer (a module with std) or None."
+            )
+        if isinstance(scale, Tensor) and not bool((scale > 0).all()):
+            raise ValueError(f"extrinsic_scale must be positive, got {scale.tolist()}.")
+        self.extrinsic_norm = scale if isinstance(scale, nn.Module) else None
+        self.register_buffer("extrinsic_std", scale if isinstance(scale, Tensor) else None)
+
+    @property
+    def extrinsic_scale(self) -> Tensor | None:
+        """The std that divides the extrinsic error, (E,), or None."""
+        return self.extrinsic_std if self.extrinsic_norm is None else cast(Tensor, self.extrinsic_norm.std)
+
+    def _set_in_keys(self) -> None:
+        super()._set_in_keys()
+        # set_keys runs once inside the parent's constructor, before these networks exist.
+        networks = [getattr(self, name, None) for name in ADAPTATION_NETWORKS]
+        keys = {key for network in networks if network is not None for key in network.in_keys}
+        self._in_keys = list({*(self._in_keys or ()), *keys, self.tensor_keys.extrinsic})
+
+    @property
+    def out_keys(self) -> list[NestedKey]:
+        """The keys of ClipPPOLoss, the three regression terms and the two diagnostics."""
+        if self._out_keys is None:
+            ppo_keys = list(ClipPPOLoss.out_keys.fget(self))  # type: ignore[attr-defined]
+            ours = ["loss_intrinsic", "loss_roa", "loss_extrinsic", "latent_error", "extrinsic_error"]
+            self._out_keys = ppo_keys + ours
+        return self._out_keys
+
+    @out_keys.setter
+    def out_keys(self, values: list[NestedKey]) -> None:
+        self._out_keys = values
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return every term: PPO, ``loss_roa`` and both estimator losses, with diagnostics."""
+        out = super().forward(tensordict)
+        latent, estimate = self._latent(tensordict), self._latent_estimate(tensordict)
+        out.update(self._roa_terms(tensordict, latent, estimate))
+        out.update(self._adaptation_terms(tensordict, latent, estimate))
+        return out
+
+    def policy_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return the PPO terms and ``loss_roa``: what the policy's optimiser minimises.
+
+        zhat is read from ``tensordict`` if it was recorded there (the rollout did, or the recipe computed
+        it once for the whole batch), else computed without gradient.
+        """
+        out = super().forward(tensordict)
+        estimate = tensordict.get(self.tensor_keys.latent_estimate, None)
+        if estimate is None:
+            with torch.no_grad():
+                estimate = self._latent_estimate(tensordict)
+        out.update(self._roa_terms(tensordict, self._latent(tensordict), estimate))
+        return out
+
+    def adaptation_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return ``loss_intrinsic``, ``loss_extrinsic`` and diagnostics: what trains the estimators."""
+        with torch.no_grad():
+            latent = self._latent(tensordict)
+        return TensorDict(self._adaptation_terms(tensordict, latent, self._latent_estimate(tensordict)))
+
+    def _roa_terms(self, tensordict: TensorDictBase, latent: Tensor, estimate: Tensor) -> dict[str, Tensor]:
+        distance = (estimate.detach() - latent).square().sum(-1)
+        return {"loss_roa": self._reduce_loss(self.roa_coeff * distance, tensordict)}
+
+    def _adaptation_terms(
+        self, tensordict: TensorDictBase, latent: Tensor, latent_estimate: Tensor
+    ) -> dict[str, Tensor]:
+        target = tensordict.get(self.tensor_keys.extrinsic, None)
+        if target is None:
+            raise KeyError(
+                f"No extrinsic target {self.tensor_keys.extrinsic!r} in the data; "
+                "name the entry that holds it with loss.set_keys(extrinsic=...)."
+            )
+        error = (
+            self._run("extrinsic_estimator_network", self.tensor_keys.extrinsic_estimate, tensordict) - target
+        )
+        scale = self.extrinsic_scale
+        scaled = error if scale is None else error / scale
+        latent_distance = (latent_estimate - latent.detach()).square().sum(-1)
+        distance = scaled.square().sum(-1)
+        return {
+            "loss_intrinsic": self._reduce_loss(self.intrinsic_coeff * latent_distance, tensordict),
+            "loss_extrinsic": self._reduce_loss(self.extrinsic_coeff * distance, tensordict),
+            "latent_error": latent_distance.detach().mean().sqrt(),
+            "extrinsic_error": scaled.detach().square().mean().sqrt(),
+        }
+
+    def _latent(self, tensordict: TensorDictBase) -> Tensor:
+        return self._run("encoder_network", self.tensor_keys.latent, tensordict)
+
+    def _latent_estimate(self, tensordict: TensorDictBase) -> Tensor:
+        return self._run("intrinsic_estimator_network", self.tensor_keys.latent_estimate, tensordict)
+
+    def _run(self, name: str, key: NestedKey, tensordict: TensorDictBase) -> Tensor:
+        """Run a network on its own inputs only, so that it cannot overwrite what the rollout recorded."""
+        network, params = getattr(self, name), getattr(self, f"{name}_params")
+        swapped = (
+            contextlib.nullcontext()
+            if params is None
+            else params.to_module(network, preserve_module_state=False)
+        )
+        with swapped:
+            out = network(tensordict.select(*network.in_keys)).get(key, None)
+        if out is None:
+            raise KeyError(
+                f"{name} did not write {key!r}; it writes {network.out_keys}. Give it that out_key, or "
+                "rename the key with loss.set_keys(latent=..., latent_estimate=..., extrinsic_estimate=...)."
+            )
+        return out

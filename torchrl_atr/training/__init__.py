@@ -1,0 +1,21 @@
+"""The recipe: configuration, trainer, learner, checkpoints and logs."""
+
+from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from torchrl_atr.training.config import ConfigError, TrainConfig, make_config, read_config
+from torchrl_atr.training.learner import Learner
+from torchrl_atr.training.trainer import Trainer, load_run, make_env, make_run_networks
+
+__all__ = [
+    "CheckpointError",
+    "ConfigError",
+    "Learner",
+    "TrainConfig",
+    "Trainer",
+    "load_checkpoint",
+    "load_run",
+    "make_config",
+    "make_env",
+    "make_run_networks",
+    "read_config",
+    "save_checkpoint",
+]

@@ -1,0 +1,217 @@
+"""The recipe as one flat, validated, serialisable configuration."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
+from torchrl_atr.envs.profiles import PROFILES
+from torchrl_atr.modules import SOURCES, get_estimator
+
+
+class ConfigError(ValueError):
+    """A configuration that names something unknown or holds an impossible value."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything a run depends on besides the code.
+
+    Attributes:
+        robot, transporter, profile: names from the registries.
+        estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
+        imports: modules imported first, so that they can register estimators of their own.
+        num_envs: robots simulated at once.
+        rollout_steps: control steps per robot and iteration.
+        total_frames: robot steps after which training ends.
+        max_minutes: wall-clock minutes after which it ends, whichever comes first; 0 for no limit.
+        seed: of everything.
+        device: of the learner; physics stays on the CPU.
+        num_threads: physics threads; 0 for the CPUs this process may use.
+        gamma, gae_lambda: discount and GAE's λ.
+        epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
+        learning_rate, max_learning_rate, target_kl: of the policy; adapted to the measured KL divergence.
+        critic_learning_rate, estimator_learning_rate: fixed.
+        clip_epsilon, entropy_coeff, max_grad_norm: PPO.
+        init_std, min_std: exploration, in units of the action.
+        roa_coeff: λ of Eq. 15.
+        adaptation_epochs: passes of the estimators over a batch.
+        act_source: what the actor acts on in training: ``privileged``, ``estimated`` or ``mixed`` (A24).
+        student_fraction: share of the robots that act on the estimates under ``mixed``.
+        history_length: H.
+        episode_seconds, command_seconds: time limit, and how long a command lasts.
+        initial_speed, initial_yaw_rate: half widths of the first command box, m/s and rad/s.
+        checkpoint_seconds: longest time between checkpoints.
+    """
+
+    robot: str = "a1"
+    transporter: str = "single_board"
+    profile: str = "default"
+    estimator: str = "cnn_gru"
+    imports: tuple[str, ...] = ()
+    num_envs: int = 512
+    rollout_steps: int = 24
+    total_frames: int = 50_000_000
+    max_minutes: float = 0.0
+    seed: int = 0
+    device: str = "cpu"
+    num_threads: int = 0
+    gamma: float = 0.995
+    gae_lambda: float = 0.95
+    epochs: int = 4
+    minibatches: int = 4
+    learning_rate: float = 1e-3
+    max_learning_rate: float = 2e-3
+    target_kl: float = 0.01
+    critic_learning_rate: float = 1e-3
+    estimator_learning_rate: float = 1e-3
+    clip_epsilon: float = 0.2
+    entropy_coeff: float = 0.0
+    max_grad_norm: float = 1.0
+    init_std: float = 0.2
+    min_std: float = 0.05
+    roa_coeff: float = 0.2
+    adaptation_epochs: int = 1
+    act_source: str = "mixed"
+    student_fraction: float = 0.5
+    history_length: int = 10
+    episode_seconds: float = 20.0
+    command_seconds: float = 5.0
+    initial_speed: float = 0.5
+    initial_yaw_rate: float = 0.3
+    checkpoint_seconds: float = 60.0
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not low <= value <= high or math.isnan(value):
+                raise ConfigError(f"{name}={value!r} is out of range; choose a number in [{low:g}, {high:g}]")
+        ROBOTS.get(self.robot)
+        TRANSPORTERS.get(self.transporter)
+        PROFILES.get(self.profile)
+        if self.act_source not in SOURCES:
+            raise ConfigError(f"act_source={self.act_source!r} is unknown; choose one of {', '.join(SOURCES)}")
+        if self.min_std >= self.init_std:
+            raise ConfigError(f"min_std={self.min_std:g} must be below init_std={self.init_std:g}")
+
+    def check_estimator_name(self) -> None:
+        """Looks the estimator up; separate, since ``imports`` must have run before.
+
+        Raises:
+            KeyError: for an unknown name; lists those registered.
+        """
+        get_estimator(self.estimator)
+
+    @property
+    def frames_per_batch(self) -> int:
+        """Robot steps in one iteration."""
+        return self.num_envs * self.rollout_steps
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
+
+
+_POSITIVE = 1e-12
+_RANGES: dict[str, tuple[float, float]] = {
+    "num_envs": (1, 1_000_000),
+    "rollout_steps": (2, 100_000),
+    "total_frames": (1, 1e15),
+    "max_minutes": (0, 1e9),
+    "seed": (0, 2**31 - 1),
+    "num_threads": (0, 4096),
+    "gamma": (0, 0.99999),
+    "gae_lambda": (0, 1),
+    "epochs": (1, 1000),
+    "minibatches": (1, 100_000),
+    "learning_rate": (_POSITIVE, 1),
+    "max_learning_rate": (_POSITIVE, 1),
+    "target_kl": (_POSITIVE, 10),
+    "critic_learning_rate": (_POSITIVE, 1),
+    "estimator_learning_rate": (_POSITIVE, 1),
+    "clip_epsilon": (_POSITIVE, 1),
+    "entropy_coeff": (0, 10),
+    "max_grad_norm": (_POSITIVE, 1e9),
+    "init_std": (1e-3, 10),
+    "min_std": (0, 10),
+    "roa_coeff": (0, 1e3),
+    "adaptation_epochs": (1, 1000),
+    "student_fraction": (0, 1),
+    "history_length": (1, 1000),
+    "episode_seconds": (0.1, 1e6),
+    "command_seconds": (0.1, 1e6),
+    "initial_speed": (0.0, 15.0),
+    "initial_yaw_rate": (0.0, 2.0),
+    "checkpoint_seconds": (0, 1e6),
+}
+
+
+def make_config(values: dict[str, Any] | None = None, overrides: list[str] | None = None) -> TrainConfig:
+    """A configuration from a mapping and ``key=value`` strings, the latter winning.
+
+    Args:
+        values: field values.
+        overrides: strings such as ``"gamma=0.99"``.
+
+    Raises:
+        ConfigError: for an unknown field or a value of the wrong kind or out of range.
+
+    Example:
+        >>> make_config({"num_envs": 8}, ["gamma=0.9"]).gamma
+        0.9
+    """
+    merged = dict(values or {})
+    for text in overrides or []:
+        key, separator, value = text.partition("=")
+        if not separator:
+            raise ConfigError(f"--set {text!r}: write it as key=value")
+        merged[key.strip()] = value.strip()
+    fields = {field.name: field for field in dataclasses.fields(TrainConfig)}
+    for name in merged:
+        if name not in fields:
+            raise ConfigError(f"unknown setting {name!r}; known: {', '.join(fields)}")
+    return TrainConfig(**{name: _convert(name, value, fields[name].default) for name, value in merged.items()})
+
+
+def read_config(path: Path) -> dict[str, Any]:
+    """Field values from a ``.toml`` or ``.json`` file.
+
+    Raises:
+        ConfigError: if it is missing, of another kind, or malformed.
+    """
+    if not path.is_file():
+        raise ConfigError(f"there is no configuration file {path}")
+    try:
+        if path.suffix == ".toml":
+            return tomllib.loads(path.read_text())
+        if path.suffix == ".json":
+            return json.loads(path.read_text())
+    except (tomllib.TOMLDecodeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not valid {path.suffix[1:].upper()}: {error}") from error
+    raise ConfigError(f"{path}: use a .toml or .json file")
+
+
+def _convert(name: str, value: Any, default: Any) -> Any:
+    """``value`` as the type of the field's default."""
+    kind = type(default)
+    try:
+        if kind is tuple:
+            return tuple(part for part in value.split(",") if part) if isinstance(value, str) else tuple(value)
+        if kind is int:
+            number = float(value)
+            if number != int(number):
+                raise ValueError
+            return int(number)
+        if kind is float:
+            return float(value)
+        if not isinstance(value, str):
+            raise TypeError
+        return value
+    except (TypeError, ValueError, OverflowError):
+        raise ConfigError(f"{name}={value!r} is not a valid {kind.__name__}") from None

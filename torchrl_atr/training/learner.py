@@ -1,0 +1,157 @@
+"""The learner: one batch in, better networks out. PPO with its epochs, then the estimators with theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
+from torchrl.objectives.utils import KLAdaptiveLR
+from torchrl.objectives.value import GAE
+
+from torchrl_atr.modules import RidingNetworks
+from torchrl_atr.objectives import ROAClipPPOLoss
+from torchrl_atr.training.config import TrainConfig
+
+_RETURN_SCALE = 10.0
+# The critic predicts discounted rewards of some tens; its loss is weighed as if they were in units of ten.
+
+
+class Learner:
+    """Networks, loss, optimisers and schedules of one run.
+
+    The policy (actor, encoder), the critic and the estimators have an optimiser each: only the policy's learning rate
+    follows the KL divergence, and no gradient norm clips another's.
+
+    Args:
+        networks: from :func:`torchrl_atr.modules.make_networks`.
+        config: hyper-parameters.
+    """
+
+    def __init__(self, networks: RidingNetworks, config: TrainConfig) -> None:
+        self.networks, self.config = networks, config
+        self.loss = ROAClipPPOLoss(
+            networks.training_actor(config.act_source),
+            networks.critic_module,
+            networks.encoder_module,
+            networks.intrinsic_estimator_module,
+            networks.extrinsic_estimator_module,
+            roa_coeff=config.roa_coeff,
+            extrinsic_scale=networks.ext_norm,
+            clip_epsilon=config.clip_epsilon,
+            entropy_coeff=config.entropy_coeff,
+            entropy_bonus=True,
+            critic_coeff=1.0 / _RETURN_SCALE**2,
+            loss_critic_type="l2",
+            normalize_advantage=False,
+            functional=False,
+        )
+        self.advantage = GAE(
+            gamma=config.gamma,
+            lmbda=config.gae_lambda,
+            value_network=networks.critic_module,
+            average_gae=True,
+            shifted=True,
+        )
+        critic = list(networks.critic.parameters())
+        self._groups: dict[str, list[nn.Parameter]] = {
+            "policy": [p for p in networks.policy_parameters() if not any(p is q for q in critic)],
+            "critic": critic,
+            "estimators": list(networks.estimator_parameters()),
+        }
+        rates = {
+            "policy": config.learning_rate,
+            "critic": config.critic_learning_rate,
+            "estimators": config.estimator_learning_rate,
+        }
+        self.optimizers = {name: torch.optim.Adam(group, lr=rates[name]) for name, group in self._groups.items()}
+        self.schedule = KLAdaptiveLR(
+            self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate
+        )
+        size = config.frames_per_batch
+        self.buffer = TensorDictReplayBuffer(
+            storage=LazyTensorStorage(size, device=config.device),
+            sampler=SamplerWithoutReplacement(),
+            batch_size=-(-size // config.minibatches),
+        )
+
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """One iteration on a batch of shape (N, T).
+
+        Args:
+            batch: from a collector that ran ``networks.rollout_policy(config.act_source)``.
+
+        Returns:
+            Means over the iteration: losses, KL divergence, learning rate, estimator errors.
+        """
+        with torch.no_grad():
+            batch = self.advantage(batch.to(self.config.device))
+        flat = batch.reshape(-1)
+        if self.config.act_source == "privileged":
+            self._record_latent_estimates(flat)
+        self.buffer.extend(flat)
+        policy = self._average(self._policy_steps())
+        adaptation = self._average(self._adaptation_steps())
+        self.networks.update_normalizers(flat)
+        self.buffer.empty()
+        return {**policy, **adaptation, "learning_rate": self.schedule.get_last_lr()[0]}
+
+    def _record_latent_estimates(self, flat: TensorDictBase) -> None:
+        """ẑ once an iteration, without gradient: what the encoder is pulled towards (Eq. 15's second term)."""
+        module = self.networks.intrinsic_estimator_module
+        with torch.no_grad():
+            for part in flat.split(self.buffer.batch_size):
+                estimate = module(part.select(*module.in_keys))
+                part.update(estimate.select(*module.out_keys))
+            flat.update(torch.cat([p.select(*module.out_keys) for p in flat.split(self.buffer.batch_size)]))
+
+    def _policy_steps(self) -> Iterator[TensorDictBase]:
+        for _ in range(self.config.epochs):
+            divergence: list[Tensor] = []
+            for minibatch in self.buffer:
+                terms = self.loss.policy_loss(minibatch)
+                self._step(terms, "policy", "critic")
+                divergence.append(terms["kl_approx"].detach())
+                yield terms
+            self.schedule.step(torch.stack(divergence).mean().abs())
+
+    def _adaptation_steps(self) -> Iterator[TensorDictBase]:
+        for _ in range(self.config.adaptation_epochs):
+            for minibatch in self.buffer:
+                terms = self.loss.adaptation_loss(minibatch)
+                self._step(terms, "estimators")
+                yield terms
+
+    def _step(self, terms: TensorDictBase, *names: str) -> None:
+        total = torch.stack([value for key, value in terms.items() if key.startswith("loss_")]).sum()
+        for name in names:
+            self.optimizers[name].zero_grad(set_to_none=True)
+        total.backward()
+        for name in names:
+            nn.utils.clip_grad_norm_(self._groups[name], self.config.max_grad_norm)
+            self.optimizers[name].step()
+
+    @staticmethod
+    def _average(steps: Iterator[TensorDictBase]) -> dict[str, float]:
+        terms = torch.stack([TensorDict(dict(step.items())).detach() for step in steps])
+        return {str(key): float(value.float().mean()) for key, value in terms.items()}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that training changes here: networks, optimisers, schedule."""
+        return {
+            "networks": self.networks.state_dict(),
+            "optimizers": {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()},
+            "schedule": self.schedule.state_dict(),
+            "roa_coeff": float(self.loss.roa_coeff),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores :meth:`state_dict`."""
+        self.networks.load_state_dict(state["networks"])
+        for name, optimizer in self.optimizers.items():
+            optimizer.load_state_dict(state["optimizers"][name])
+        self.schedule.load_state_dict(state["schedule"])
+        self.loss.roa_coeff = state["roa_coeff"]

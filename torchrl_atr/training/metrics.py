@@ -1,0 +1,49 @@
+"""What a batch says about the ride: tracking errors, episode lengths, reward terms."""
+
+from __future__ import annotations
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from torchrl_atr.envs.task.rewards import KERNEL_WIDTH
+
+_TRACKING = {"speed_error": "forward_command", "yaw_error": "steering_command"}
+
+
+def batch_metrics(batch: TensorDictBase, tracking_max: tuple[float, float]) -> dict[str, float]:
+    """Means over a batch of the riding env.
+
+    Args:
+        batch: (N, T) with ``next`` holding ``reward_terms``, ``step_count`` and the done flags.
+        tracking_max: what the two tracking rewards reach at perfect tracking, as emitted.
+
+    Returns:
+        ``speed_error`` (m/s) and ``yaw_error`` (rad/s), recovered from the tracking rewards; the same for the robots that
+        act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw rate that is
+        reached; ``episode_length`` (steps) and ``episode_reward`` of finished episodes where there are any;
+        ``falls``, terminations per robot and second; ``reward/...`` means of the terms.
+    """
+    after = batch["next"]
+    metrics = {}
+    student = batch.get(("act", "student"), None)
+    for (name, term), maximum in zip(_TRACKING.items(), tracking_max):
+        error = -KERNEL_WIDTH * torch.log((after["reward_terms", term] / maximum).clamp_min(1e-12))
+        metrics[name] = float(error.mean())
+        if student is not None and student.any():
+            metrics[f"student_{name}"] = float(error[student].mean())
+    metrics["yaw_gain"] = _regression_gain(batch["command"][..., 1], after["speeds"][..., 1])
+    metrics["reward"] = float(after["reward"].mean())
+    metrics["falls"] = float(after["terminated"].float().mean())
+    done = after["done"].squeeze(-1)
+    if done.any():
+        metrics["episode_length"] = float(after["step_count"].squeeze(-1)[done].float().mean())
+        metrics["episode_reward"] = float(after["episode_reward"].squeeze(-1)[done].mean())
+    for term, value in after["reward_terms"].items():
+        metrics[f"reward/{term}"] = float(value.mean())
+    return metrics
+
+
+def _regression_gain(command: Tensor, yaw_rate: Tensor) -> float:
+    """Σ c_ω ω / Σ c_ω²: 0 for a board that never turns, 1 for perfect steering."""
+    return float((command * yaw_rate).sum() / command.square().sum().clamp_min(1e-6))

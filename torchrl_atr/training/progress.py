@@ -1,0 +1,116 @@
+"""What a run shows while it learns: a live table, ``progress.csv`` and TensorBoard."""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from torchrl_atr.training.config import TrainConfig
+
+_SHOWN = (
+    ("frames", "robot steps", "{:,.0f}"),
+    ("frames_per_second", "per second", "{:,.0f}"),
+    ("episode_length", "episode length, steps", "{:.0f}"),
+    ("speed_error", "speed error, m/s", "{:.3f}"),
+    ("yaw_error", "yaw error, rad/s", "{:.3f}"),
+    ("student_speed_error", "... acting on estimates", "{:.3f}"),
+    ("yaw_gain", "yaw gain", "{:.2f}"),
+    ("command_area", "command area", "{:.4f}"),
+    ("latent_error", "latent error", "{:.3f}"),
+    ("extrinsic_error", "extrinsic error, std", "{:.3f}"),
+    ("std", "action std", "{:.3f}"),
+    ("kl_approx", "KL", "{:.4f}"),
+    ("diverged", "diverged simulations", "{:.0f}"),
+)
+_LINE_SECONDS = 15.0
+"""Seconds between lines where there is no terminal to redraw."""
+
+
+class Progress:
+    """Logs metrics of every iteration; a context manager around the training loop.
+
+    Args:
+        run: the run folder.
+        config: for time and frames left.
+        resume: append to the folder's logs instead of starting them anew.
+    """
+
+    def __init__(self, run: Path, config: TrainConfig, resume: bool = False) -> None:
+        self.run, self.config = run, config
+        self._csv_path = run / "progress.csv"
+        if not resume:
+            self._csv_path.unlink(missing_ok=True)
+        self._fields: list[str] = []
+        if resume and self._csv_path.is_file():
+            with self._csv_path.open() as file:
+                self._fields = next(csv.reader(file), [])
+        self._shown: dict[str, float] = {}
+        self._last_line = 0.0
+        self._live: Any = None
+        self._writer: Any = None
+
+    def __enter__(self) -> Progress:
+        from torch.utils.tensorboard import SummaryWriter  # heavy: only where a run starts
+
+        self._writer = SummaryWriter(str(self.run / "tensorboard"))
+        if sys.stdout.isatty():
+            from rich.live import Live
+
+            self._live = Live(refresh_per_second=2)
+            self._live.__enter__()
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        if self._live is not None:
+            self._live.__exit__(*exception)
+        self._writer.close()
+
+    def update(self, metrics: dict[str, float]) -> None:
+        """Shows and stores one iteration."""
+        self._shown.update(metrics)
+        self._append(self._shown)
+        for name, value in metrics.items():
+            tag = name if "/" in name else f"train/{name}"
+            self._writer.add_scalar(tag, value, int(metrics["frames"]))
+        if self._live is not None:
+            self._live.update(self._table())
+        elif time.monotonic() - self._last_line > _LINE_SECONDS:
+            self._last_line = time.monotonic()
+            sys.stdout.write(self._line() + "\n")
+            sys.stdout.flush()
+
+    def _append(self, metrics: dict[str, float]) -> None:
+        fresh = not self._fields
+        if fresh:
+            # a metric that the first batch lacks (no episode had ended) still gets its column
+            self._fields = list(dict.fromkeys([*metrics, "episode_length", "episode_reward"]))
+        with self._csv_path.open("a", newline="") as file:
+            writer = csv.DictWriter(file, self._fields, extrasaction="ignore", restval="")
+            if fresh:
+                writer.writeheader()
+            writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in metrics.items()})
+
+    def _left(self) -> str:
+        seconds, frames = self._shown["minutes"] * 60, self._shown["frames"]
+        by_frames = (self.config.total_frames - frames) * seconds / frames
+        by_time = 60 * self.config.max_minutes - seconds if self.config.max_minutes else float("inf")
+        left = max(0, int(min(by_frames, by_time)))
+        return f"{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d}"
+
+    def _rows(self) -> list[tuple[str, str]]:
+        rows = [(label, style.format(self._shown[k])) for k, label, style in _SHOWN if k in self._shown]
+        return [*rows, ("time left", self._left())]
+
+    def _line(self) -> str:
+        return " | ".join(f"{label} {value}" for label, value in self._rows())
+
+    def _table(self) -> Any:
+        from rich.table import Table
+
+        table = Table(title=f"{self.config.robot} on {self.config.transporter}: {self.run}", show_header=False)
+        for label, value in self._rows():
+            table.add_row(label, value)
+        return table

@@ -1,0 +1,210 @@
+"""The recipe: env -> collector -> learner -> log -> checkpoint, until frames or minutes run out."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.collectors import Collector
+from torchrl.envs import ExplorationType, TransformedEnv
+
+from torchrl_atr.envs import make_riding_env
+from torchrl_atr.envs.task.rewards import MAX_TRACKING
+from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.transforms import CommandGrid
+from torchrl_atr.modules import RidingNetworks, make_networks
+from torchrl_atr.training.checkpoint import NAME, load_checkpoint, save_checkpoint
+from torchrl_atr.training.config import TrainConfig, make_config
+from torchrl_atr.training.learner import Learner
+from torchrl_atr.training.metrics import batch_metrics
+from torchrl_atr.training.progress import Progress
+
+_DROPPED: tuple[Any, ...] = (("next", "history"), "reward_terms", "episode_reward", ("next", "command"))
+# Neither GAE nor the losses read these; the next history alone would be a third of a batch.
+
+
+def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
+    """The env that a configuration describes.
+
+    Args:
+        config: of a run.
+        **overrides: arguments of :func:`torchrl_atr.envs.make_riding_env` to replace.
+    """
+    arguments: dict[str, Any] = {
+        "robot": config.robot,
+        "transporter": config.transporter,
+        "num_envs": config.num_envs,
+        "profile": config.profile,
+        "num_threads": config.num_threads or None,
+        "seed": config.seed,
+        "history_length": config.history_length,
+        "max_steps": round(config.episode_seconds / CONTROL_DT),
+        "window": round(config.command_seconds / CONTROL_DT),
+        "grid": CommandGrid(initial=(config.initial_speed, config.initial_yaw_rate)),
+    }
+    return make_riding_env(**{**arguments, **overrides})
+
+
+def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
+    """The networks that a configuration describes, sized by the env's specs.
+
+    Raises:
+        KeyError: for an unregistered estimator.
+        ImportError: if one of ``config.imports`` cannot be imported.
+    """
+    for module in config.imports:
+        importlib.import_module(module)
+    config.check_estimator_name()
+    return make_networks(
+        env.observation_spec,
+        env.action_spec,
+        estimator=config.estimator,
+        init_std=config.init_std,
+        min_std=config.min_std,
+    )
+
+
+def load_run(run: Path, **env_overrides: Any) -> tuple[TrainConfig, TransformedEnv, RidingNetworks, dict[str, Any]]:
+    """Config, env, trained networks and the whole checkpoint of a run folder.
+
+    Args:
+        run: the folder.
+        **env_overrides: see :func:`make_env`.
+
+    Raises:
+        CheckpointError: if there is no readable checkpoint.
+    """
+    state = load_checkpoint(run)
+    config = make_config(state["config"])
+    env = make_env(config, **env_overrides)
+    networks = make_run_networks(config, env)
+    networks.load_state_dict(state["learner"]["networks"])
+    return config, env, networks, state
+
+
+class Trainer:
+    """One run in one folder.
+
+    Args:
+        config: the recipe.
+        run: folder for config, checkpoint, logs; made if missing.
+        state: a checkpoint to go on from.
+    """
+
+    def __init__(self, config: TrainConfig, run: Path, state: dict[str, Any] | None = None) -> None:
+        self.config, self.run = config, run
+        run.mkdir(parents=True, exist_ok=True)
+        torch.manual_seed(config.seed)
+        self.env = make_env(config)
+        self.curriculum = self.env.transform[0]
+        scale = CONTROL_DT if self.env.base_env.readings.rewards_times_dt else 1.0
+        self._tracking_max = tuple(scale * value for value in MAX_TRACKING.values())
+        networks = make_run_networks(config, self.env).to(config.device)
+        with torch.no_grad():
+            networks.update_normalizers(self.env.rollout(config.rollout_steps))
+        self.learner = Learner(networks, config)
+        self.frames, self.iteration, self.seconds = 0, 0, 0.0
+        if state is not None:
+            self._restore(state)
+        self.progress = Progress(run, config, resume=state is not None)
+
+    def train(self, on_iteration: Callable[[dict[str, float]], None] | None = None) -> None:
+        """Trains until ``total_frames`` or ``max_minutes``, saving a checkpoint first, now and then, and last.
+
+        Args:
+            on_iteration: called with each iteration's metrics.
+        """
+        config = self.config
+        _write_json(self.run / "config.json", config.to_dict())
+        self.save()
+        collector = Collector(
+            self.env,
+            self.learner.networks.rollout_policy(config.act_source, config.student_fraction),
+            frames_per_batch=config.frames_per_batch,
+            total_frames=-1,
+            exploration_type=ExplorationType.RANDOM,
+            postproc=partial(_drop, keys=_DROPPED),
+            auto_register_policy_transforms=False,
+        )
+        saved = time.monotonic()
+        started = time.monotonic() - self.seconds
+        try:
+            with self.progress:
+                batches = iter(collector)
+                while not self.finished:
+                    metrics = self._iterate(next(batches), started)
+                    self.progress.update(metrics)
+                    if on_iteration is not None:
+                        on_iteration(metrics)
+                    if time.monotonic() - saved > config.checkpoint_seconds:
+                        self.save()
+                        saved = time.monotonic()
+        finally:
+            collector.shutdown(close_env=False)
+        self.save()
+
+    @property
+    def finished(self) -> bool:
+        """Whether frames or minutes have run out."""
+        minutes = self.config.max_minutes
+        return self.frames >= self.config.total_frames or (minutes > 0 and self.seconds >= 60 * minutes)
+
+    def _iterate(self, batch: TensorDictBase, started: float) -> dict[str, float]:
+        collected = time.monotonic()
+        metrics = batch_metrics(batch, self._tracking_max)
+        metrics.update(self.learner.update(batch))
+        now = time.monotonic()
+        elapsed = now - started
+        metrics["collect_seconds"] = collected - started - self.seconds
+        metrics["learn_seconds"] = now - collected
+        self.frames += self.config.frames_per_batch
+        self.iteration += 1
+        metrics["frames_per_second"] = self.config.frames_per_batch / (elapsed - self.seconds)
+        self.seconds = elapsed
+        metrics["frames"], metrics["iteration"], metrics["minutes"] = self.frames, self.iteration, elapsed / 60
+        metrics["command_area"] = self.curriculum.command_area[0]
+        metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
+        metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
+        metrics["diverged"] = self.env.base_env.num_diverged
+        return metrics
+
+    def save(self) -> None:
+        """Writes the checkpoint: config, learner, curriculum, counters."""
+        save_checkpoint(
+            self.run / NAME,
+            {
+                "config": self.config.to_dict(),
+                "learner": self.learner.state_dict(),
+                "curriculum": {"weights": self.curriculum.weights, **self.curriculum.get_extra_state()},
+                "frames": self.frames,
+                "iteration": self.iteration,
+                "seconds": self.seconds,
+                "rng": torch.get_rng_state(),
+            },
+        )
+
+    def _restore(self, state: dict[str, Any]) -> None:
+        self.learner.load_state_dict(state["learner"])
+        self.curriculum.load_weights(state["curriculum"]["weights"])
+        self.curriculum.set_extra_state({k: v for k, v in state["curriculum"].items() if k != "weights"})
+        self.frames, self.iteration = state["frames"], state["iteration"]
+        self.seconds = state["seconds"]
+        torch.set_rng_state(state["rng"])
+
+
+def _drop(batch: TensorDictBase, keys: tuple[Any, ...]) -> TensorDictBase:
+    return batch.exclude(*keys)
+
+
+def _write_json(path: Path, value: Any) -> None:
+    temporary = path.with_suffix(".tmp")
+    temporary.write_text(json.dumps(value, indent=2) + "\n")
+    os.replace(temporary, path)
