@@ -28,6 +28,7 @@ class Readings:
         rewards_times_dt: A16. Multiply every reward by the control period, as the paper's ancestors do.
         positive_rewards: A17. Clip the summed reward (termination excepted) at zero.
         gravity_in_acceleration: A18. False: v̇_B is the kinematic acceleration; True: the specific force of an IMU.
+        planar_smoothness: r8's ‖α_P‖. True: the driven yaw acceleration; False: roll and pitch accelerations as well.
         tilt_limit: A34. Body roll or pitch (rad) beyond which the episode ends.
     """
 
@@ -39,6 +40,7 @@ class Readings:
     rewards_times_dt: bool = True
     positive_rewards: bool = False
     gravity_in_acceleration: bool = False
+    planar_smoothness: bool = True
     tilt_limit: float = 1.0
 
     def __post_init__(self) -> None:
@@ -61,7 +63,13 @@ PROFILES: Registry[Readings] = Registry("profile")
 PROFILES.register("default", Readings())
 PROFILES.register(
     "literal",
-    Readings(relative_mass=False, odd_resistance=False, sb_gains_per_degree=False, rewards_times_dt=False),
+    Readings(
+        relative_mass=False,
+        odd_resistance=False,
+        sb_gains_per_degree=False,
+        rewards_times_dt=False,
+        planar_smoothness=False,
+    ),
 )
 PROFILES.register("ancestor", Readings(positive_rewards=True, gravity_in_acceleration=True, tilt_limit=0.78))
 

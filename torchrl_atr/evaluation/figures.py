@@ -27,6 +27,8 @@ SPEED, YAW = "$c_v$ [m/s]", "$c_\\omega$ [rad/s]"
 _COLOURS = {"speed": "#0072B2", "yaw": "#D55E00", "combined": "#009E73"}
 _GREY = "0.55"
 _ERRORS, _FALLS = "viridis", "cividis"
+_MOST_LABELS = 60  # cells; with more, their values would not be readable
+_LUMINANCE = (0.299, 0.587, 0.114)
 _STYLE: Any = {
     "font.size": 9,
     "axes.titlesize": 10,
@@ -114,7 +116,7 @@ def plot_command_area(result: TrackingResult, path: str | Path) -> Path:
         "settled": f"settled, after {result.settle:g} s",
     }
     with plt.rc_context(_STYLE):
-        figure, axes = plt.subplots(1, 2, figsize=(9, 3.8), sharey=True)
+        figure, axes = plt.subplots(1, 2, figsize=(10, 3.8), sharey=True)
         for axis, (kind, title) in zip(axes, titles.items()):
             for name, colour in _COLOURS.items():
                 axis.plot(EPSILONS, ours[kind][name], color=colour, lw=2, label=name)
@@ -125,7 +127,7 @@ def plot_command_area(result: TrackingResult, path: str | Path) -> Path:
             )
             axis.grid(alpha=0.25)
         axes[0].set_ylabel("command area [share of trials]")
-        axes[1].legend(loc="lower right")
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center")
         return _save(figure, path)
 
 
@@ -192,6 +194,16 @@ def _heatmap(axis: Axes, x: Array, y: Array, values: Array, colours: str, top: f
     extent = (x[0] - half[0], x[-1] + half[0], y[0] - half[1], y[-1] + half[1])
     axis.imshow(values.T, origin="lower", extent=extent, aspect="auto", cmap=colours, vmin=0.0, vmax=top)
     axis.set(xlabel=SPEED, ylabel=YAW)
+    if values.size <= _MOST_LABELS:
+        _label_cells(axis, x, y, values)
+
+
+def _label_cells(axis: Axes, x: Array, y: Array, values: Array) -> None:
+    image = axis.images[0]
+    for i, j in np.argwhere(np.isfinite(values)):
+        light = np.dot(image.to_rgba(values[i, j])[:3], _LUMINANCE) > 0.5
+        colour = "black" if light else "white"
+        axis.text(x[i], y[j], f"{values[i, j]:.2f}", ha="center", va="center", fontsize=7, color=colour)
 
 
 def _read_columns(path: Path) -> dict[str, Array]:

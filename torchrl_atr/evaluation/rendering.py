@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes.util
 import importlib
 import os
@@ -44,17 +45,17 @@ def gl_backend() -> str:
     return "osmesa" if only_osmesa else "egl"
 
 
-def _make_context(width: int, height: int) -> Any:
+def _make_contexts(model: mujoco.MjModel, size: tuple[int, int]) -> tuple[Any, mujoco.MjrContext]:
     # not mujoco.Renderer: its backend is chosen when mujoco is first imported, too early for a default here
     name = gl_backend()
     try:
-        context = importlib.import_module(_BACKENDS[name]).GLContext(width, height)
+        context = importlib.import_module(_BACKENDS[name]).GLContext(*size)
         context.make_current()
+        return context, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
     except (
         Exception
     ) as error:  # PyOpenGL raises whatever went wrong: AttributeError, ImportError, GLError, ...
         raise RuntimeError(_NO_GL.format(name=name, reason=error or type(error).__name__)) from error
-    return context
 
 
 class Picture:
@@ -86,10 +87,10 @@ class Picture:
         self._camera = self._find_camera(model, camera)
         self._free = camera == CHASE
         self._heading: float | None = None
-        self._context = _make_context(*size)
-        self._mjr = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
+        self._context, self._mjr = _make_contexts(model, size)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._mjr)
         self._scene, self._option = mujoco.MjvScene(model, maxgeom=2000), mujoco.MjvOption()
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0  # half the time of a picture in software
         self._viewport = mujoco.MjrRect(0, 0, *size)
 
     @staticmethod
@@ -172,7 +173,9 @@ class Mirror:
             raise TypeError(f"{type(base).__name__} has no MuJoCo engine to show; use a RidingEnv")
         self.engine, self.row = base.engine, row
         # what is randomised (masses, gains, friction) does not show, so the nominal model will do
-        self.model: mujoco.MjModel = base.model
+        self.model: mujoco.MjModel = copy.copy(base.model)
+        # the shadow map covers the extent: of the board alone, its edge would run through the picture
+        self.model.stat.extent, self.model.vis.quality.shadowsize = 3.0, 2048
         self.data = mujoco.MjData(self.model)
         self.update()
 
@@ -185,6 +188,9 @@ class Mirror:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
+        self.data.light_xpos[:, :2] += self.pose()[
+            :2
+        ]  # the light goes along, or shadows would be left behind
 
     def pose(self) -> tuple[float, float, float]:
         """Position (m) and heading (rad, not wrapped) of the board."""

@@ -20,6 +20,8 @@ class AsymmetricCritic(nn.Module):
         observation_norm, extrinsic_norm (RunningNormalizer): shared with the actor.
         intrinsic_features (int): size of ``("privileged", "intrinsic")``, scaled to [-1, 1] by the env.
         cells (sequence of int): hidden widths. Defaults to ``(512, 256, 128)``.
+        scale (float): multiplies the output, so that a fresh network need not grow to the size of returns
+            of some tens. Defaults to 10.
 
     Examples:
         >>> import torch
@@ -34,8 +36,10 @@ class AsymmetricCritic(nn.Module):
         extrinsic_norm: RunningNormalizer,
         intrinsic_features: int,
         cells: Sequence[int] = (512, 256, 128),
+        scale: float = 10.0,
     ) -> None:
         super().__init__()
+        self.scale = float(scale)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
         in_features = observation_norm.shape.numel() + intrinsic_features + extrinsic_norm.shape.numel()
@@ -44,4 +48,4 @@ class AsymmetricCritic(nn.Module):
     def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor) -> Tensor:
         """Return the value, (*B, 1), from (*B, O), (*B, I) and (*B, E) (SI units)."""
         inputs = (self.observation_norm(observation), intrinsic, self.extrinsic_norm(extrinsic))
-        return self.net(torch.cat(inputs, -1))
+        return self.scale * self.net(torch.cat(inputs, -1))

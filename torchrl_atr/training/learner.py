@@ -16,8 +16,6 @@ from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import ROAClipPPOLoss
 from torchrl_atr.training.config import TrainConfig
 
-_RETURN_SCALE = 10.0
-# The critic predicts discounted rewards of some tens; its loss is weighed as if they were in units of ten.
 
 
 class Learner:
@@ -44,7 +42,7 @@ class Learner:
             clip_epsilon=config.clip_epsilon,
             entropy_coeff=config.entropy_coeff,
             entropy_bonus=True,
-            critic_coeff=1.0 / _RETURN_SCALE**2,
+            critic_coeff=1.0 / networks.critic.scale**2,
             loss_critic_type="l2",
             normalize_advantage=False,
             functional=False,

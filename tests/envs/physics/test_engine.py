@@ -71,11 +71,15 @@ def test_weight_at_a_corner_tilts_towards_it_and_turns_by_eq_3(block_engine, x, 
 def test_static_tilt_balances_weight_and_spring(block_engine):
     engine = block_engine((0.02, 0.0))
     engine.law = Prescribed((0.0, 0.0))
-    ride(engine, 250)
-    pitch = engine.qpos[0, engine.scene.layout.tilt_qpos[0]]
-    # the weight's horizontal lever about the pivot against the spring
-    assert 1.15 * 180 / np.pi * pitch == pytest.approx(12.0 * 9.81 * relative(engine)[0], rel=5e-3)
-    assert pitch > 0.03
+    ride(engine, 150)
+    pitch, lever = np.empty(100), np.empty(100)
+    for step in range(100):
+        ride(engine, 1)
+        pitch[step] = engine.qpos[0, engine.scene.layout.tilt_qpos[0]]
+        lever[step] = relative(engine)[0]  # horizontal
+    spring = 1.15 * 180 / np.pi
+    assert spring * pitch.mean() == pytest.approx(12.0 * 9.81 * lever.mean(), rel=5e-3)
+    assert pitch.min() > 0.03
 
 
 @pytest.mark.parametrize("axis", [0, 1], ids=["pitch", "roll"])
@@ -130,14 +134,14 @@ def test_random_actions_of_the_rider_hardly_move_the_prescribed_motion():
     generator, td, worst = torch.Generator().manual_seed(0), env.reset(), 0.0
     riding = np.ones(8, dtype=bool)
     for _ in range(50):
-        td["action"] = 0.5 * torch.randn(8, 12, generator=generator)
+        td["action"] = torch.randn(8, 12, generator=generator)
         td = env.step(td)["next"]
         riding &= ~td["done"][:, 0].numpy()
         speed, yaw = engine.speeds[:, :1], engine.qpos[:, layout.planar_qpos[2:]]
         target = speed * np.concatenate([np.cos(yaw), np.sin(yaw)], -1)
         error = np.abs(engine.qvel[:, layout.planar_dof[:2]] - target).max(-1)
         worst = max(worst, error[riding].max())
-    assert riding.sum() >= 4
+    assert riding.sum() >= 2
     assert 0.0 < worst < 1e-3
 
 

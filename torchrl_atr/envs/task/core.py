@@ -124,7 +124,14 @@ class RidingTask:
         terminated = fallen(state, self.scene, self.readings) | diverged
         thickness = self.scene.transporter.size[2]
         context = rewards.RewardContext(
-            state, command, self._action, self.previous_action, terminated, self.scene.robot, thickness
+            state,
+            command,
+            self._action,
+            self.previous_action,
+            terminated,
+            self.scene.robot,
+            thickness,
+            self.readings,
         )
         reward, terms = rewards.compute_rewards(
             context,

@@ -6,12 +6,13 @@ Adding a term is one :func:`reward_term` entry; the env's specs, logs and tests 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
 from torchrl_atr.envs.models.robot import RobotSpec
+from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task.observations import relative_yaw
 from torchrl_atr.envs.task.state import CONTACT_THRESHOLD, GRAVITY, RidingState
 
@@ -33,6 +34,7 @@ class RewardContext:
         terminated: early terminations, (N,) bool.
         robot: q0 and h_des.
         deck_thickness: m.
+        readings: the paper's open points.
     """
 
     state: RidingState
@@ -42,6 +44,7 @@ class RewardContext:
     terminated: Tensor
     robot: RobotSpec
     deck_thickness: float
+    readings: Readings = field(default_factory=Readings)
 
 
 Term = Callable[[RewardContext], Tensor]
@@ -120,8 +123,15 @@ def height_maintenance(c: RewardContext) -> Tensor:
 
 @reward_term("transporter_smoothness")
 def transporter_smoothness(c: RewardContext) -> Tensor:
-    """r8 = -k8 (‖v̇_P‖ + ‖α_P‖), differences over the control step (A32)."""
-    return -1.0 * (c.state.platform_acceleration.norm(dim=-1) + c.state.platform_angular_acceleration.norm(dim=-1))
+    """r8 = -k8 (‖v̇_P‖ + ‖α_P‖), differences over the control step (A32).
+
+    The text wants abrupt transporter accelerations "slightly" penalised for their inertia effects: by default α_P is the
+    driven, yaw component. With roll and pitch in it the term is -9 a second at an action noise of 0.2, against +16 for
+    perfect tracking, and robots learn to end their episodes.
+    """
+    angular = c.state.platform_angular_acceleration
+    turning = angular[:, 2].abs() if c.readings.planar_smoothness else angular.norm(dim=-1)
+    return -1.0 * (c.state.platform_acceleration.norm(dim=-1) + turning)
 
 
 @reward_term("body_orientation")

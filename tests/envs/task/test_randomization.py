@@ -1,0 +1,150 @@
+"""Table II: ranges, scaling, and that x_int tells the truth about the compiled simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.riding import RidingEnv
+from torchrl_atr.envs.task.randomization import (
+    INTRINSICS,
+    intrinsic_slices,
+    physical_parameters,
+    sample_intrinsics,
+)
+
+UNIT = 180 / np.pi
+# Table II in physical units (gains as ratios of a nominal 40 / 1, self-balancing gains in N m/deg): train, test, nominal
+RANGES = {
+    "payload": ((0.0, 1.0), (0.0, 3.0), 0.0),
+    "com_shift": ((-0.2, 0.2), (-0.25, 0.25), 0.0),
+    "kp": ((36.0, 44.0), (32.0, 48.0), 40.0),
+    "kd": ((0.8, 1.2), (0.6, 1.4), 1.0),
+    "platform_mass": ((11.0, 12.0), (10.5, 12.5), 11.5),
+    "friction": ((0.8, 1.2), (0.7, 1.5), 1.0),
+    "sb_stiffness": ((0.8 * UNIT, 1.5 * UNIT), (0.5 * UNIT, 2.0 * UNIT), 1.15 * UNIT),
+    "sb_damping": ((0.02 * UNIT, 0.03 * UNIT), (0.01 * UNIT, 0.05 * UNIT), 0.025 * UNIT),
+}
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+
+
+def sample(n: int, randomization: str) -> torch.Tensor:
+    return sample_intrinsics(n, 12, randomization, torch.Generator().manual_seed(0))
+
+
+def test_thirty_four_components_in_the_order_of_the_table():
+    slices = intrinsic_slices(12)
+    assert list(slices) == list(RANGES)
+    assert [s.stop - s.start for s in slices.values()] == [1, 3, 12, 12, 1, 1, 2, 2]
+    assert sample(5, "train").shape == (5, 34)
+
+
+@pytest.mark.parametrize(("randomization", "column"), [("train", 0), ("test", 1)])
+@pytest.mark.parametrize("name", RANGES)
+def test_samples_fill_the_range_of_the_table(scene, randomization, column, name):
+    parameters = physical_parameters(sample(4000, randomization), scene, Readings())
+    values = getattr(parameters, name)
+    low, high = RANGES[name][column]
+    assert values.min() >= low - 1e-4 * abs(high)
+    assert values.max() <= high + 1e-4 * abs(high)
+    assert values.min() < low + 0.01 * (high - low)
+    assert values.max() > high - 0.01 * (high - low)
+    assert values.mean() == pytest.approx((low + high) / 2, abs=0.03 * (high - low))
+
+
+def test_the_training_range_is_scaled_to_minus_one_and_one():
+    x = sample(4000, "train")
+    assert x.abs().max() <= 1.0
+    assert x.amin(0).max() < -0.99
+    assert x.amax(0).min() > 0.99
+    assert sample(4000, "test").abs().max() > 1.5
+    for parameter in INTRINSICS.values():
+        assert parameter.scaled(torch.tensor(parameter.train)).tolist() == pytest.approx([-1.0, 1.0])
+        value = torch.tensor(0.37)
+        torch.testing.assert_close(parameter.scaled(parameter.unscaled(value)), value)
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_off_is_nominal(scene, name):
+    parameters = physical_parameters(sample(3, "off"), scene, Readings())
+    np.testing.assert_allclose(getattr(parameters, name), RANGES[name][2], atol=1e-6)
+
+
+def test_unknown_randomization_lists_the_known_ones():
+    with pytest.raises(ValueError, match="unknown randomization 'full'; choose one of train, test, off"):
+        sample(1, "full")
+
+
+def check_truth(env: RidingEnv, x_int: torch.Tensor) -> None:
+    """Every simulation's compiled model is what the emitted x_int says, and nothing else changed."""
+    nominal, layout = env.scene.model, env.scene.layout
+    value = {name: INTRINSICS[name].unscaled(x_int[:, s]).numpy() for name, s in intrinsic_slices(12).items()}
+    for i in range(env.batch_size[0]):
+        model = compiled(env, i)
+        trunk, deck = layout.trunk_body, layout.deck_body
+        mass = nominal.body_mass[trunk] + value["payload"][i, 0]
+        assert model.body_mass[trunk] == pytest.approx(mass, rel=1e-5)
+        np.testing.assert_allclose(model.body_inertia[trunk], nominal.body_inertia[trunk] * mass / 4.0, rtol=1e-5)
+        np.testing.assert_allclose(model.body_ipos[trunk], nominal.body_ipos[trunk] + value["com_shift"][i], atol=1e-6)
+        deck_mass = 11.5 + value["platform_mass"][i, 0]
+        assert model.body_mass[deck] == pytest.approx(deck_mass, rel=1e-5)
+        expected = nominal.body_inertia[deck] * deck_mass / 11.5
+        np.testing.assert_allclose(model.body_inertia[deck], expected, rtol=1e-5)
+        gains = model.actuator_gainprm[layout.actuators], model.actuator_biasprm[layout.actuators]
+        np.testing.assert_allclose(gains[0][:, 0], 40.0 * value["kp"][i], rtol=1e-5)
+        np.testing.assert_allclose(gains[1][:, 1], -40.0 * value["kp"][i], rtol=1e-5)
+        np.testing.assert_allclose(gains[1][:, 2], -1.0 * value["kd"][i], rtol=1e-5)
+        assert model.geom_friction[layout.deck_geom, 0] == pytest.approx(value["friction"][i, 0], rel=1e-5)
+        roll, pitch = (model.joint(f"platform_{name}") for name in ("roll", "pitch"))
+        for column, joint in enumerate((roll, pitch)):
+            stiffness = 1.15 * UNIT * value["sb_stiffness"][i, column]
+            assert joint.stiffness[0] == pytest.approx(stiffness, rel=1e-5)
+            damping = 0.025 * UNIT * value["sb_damping"][i, column]
+            assert joint.damping[0] == pytest.approx(damping, rel=1e-5)
+        # derived constants followed
+        assert model.body_subtreemass[trunk] == pytest.approx(11.74 + value["payload"][i, 0], rel=1e-5)
+        others = [body for body in range(nominal.nbody) if body not in (trunk, deck)]
+        np.testing.assert_array_equal(model.body_mass[others], nominal.body_mass[others])
+
+
+def compiled(env: RidingEnv, i: int):
+    return env.engine.batch.get_model(i) if hasattr(env.engine, "batch") else env.engine.physics.model.ptr
+
+
+@pytest.mark.parametrize(("physics", "num_envs"), [("batch", 4), ("dm_control", 1)])
+def test_x_int_tells_the_truth_and_resets_do_not_compound(physics, num_envs):
+    env = RidingEnv(num_envs=num_envs, seed=0, physics=physics, randomization="test", num_threads=1)
+    for _ in range(4):
+        x_int = env.reset()["privileged", "intrinsic"]
+    check_truth(env, x_int)
+    if num_envs > 1:
+        mask = torch.tensor([[False], [True], [False], [True]])
+        td = TensorDict({"privileged": {"intrinsic": x_int.clone()}, "_reset": mask}, [num_envs])
+        after = env.reset(td)["privileged", "intrinsic"]
+        assert (after != x_int).any(-1).tolist() == [False, True, False, True]
+        check_truth(env, after)
+
+
+def test_a_platform_never_loses_nine_tenths_of_its_mass(scene):
+    x = sample(1, "off")
+    x[:, intrinsic_slices(12)["platform_mass"]] = -100.0
+    assert physical_parameters(x, scene, Readings()).platform_mass[0] == pytest.approx(1.15)
+
+
+def test_a_heavier_platform_accelerates_less():
+    env = RidingEnv(num_envs=2, seed=0, randomization="off", pushes=False, num_threads=1)
+    state = env.get_state()
+    state["x_int"][0, intrinsic_slices(12)["platform_mass"]] = 1.0
+    env.set_state(state)
+    env.engine.qpos[:, env.scene.layout.tilt_qpos[0]] = 0.78
+    env.engine.prescribe()
+    heavy, nominal = env.engine.speeds[:, 0]
+    assert heavy / nominal == pytest.approx(11.5 / 12.0, rel=1e-6)

@@ -1,0 +1,172 @@
+"""Table III by hand: every term, and how they add up."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from torchrl_atr.envs.models import ROBOTS
+from torchrl_atr.envs.profiles import Readings, get_readings
+from torchrl_atr.envs.riding import RidingEnv
+from torchrl_atr.envs.task.rewards import REWARD_TERMS, compute_rewards, outside_polygon, reward_term
+
+Q0 = list(ROBOTS.get("a1").q0)
+TRACKING = ("forward_command", "steering_command")
+
+
+def joints(*values: float) -> list[float]:
+    return [*values, *[0.0] * (12 - len(values))]
+
+
+def forces(*loads: float) -> list[list[float]]:
+    return [[0.0, 0.0, load] for load in loads]
+
+
+MOVING = {"platform_acceleration": [3, 4, 0], "platform_angular_acceleration": [2, 1, -2]}
+# (term, situation, value worked out by hand from Table III and the paper's weights)
+SHEET = [
+    ("forward_command", {"speeds": [1.5, 0.0], "command": (1.5, 0.0)}, 8.0),
+    ("forward_command", {"speeds": [1.5, 9.0], "command": (2.0, 0.0)}, 8.0 * math.exp(-1.0)),
+    ("forward_command", {"speeds": [-1.0, 0.0], "command": (1.0, 0.0)}, 8.0 * math.exp(-4.0)),
+    ("steering_command", {"speeds": [0.0, -0.3], "command": (0.0, -0.3)}, 8.0),
+    ("steering_command", {"speeds": [9.0, 0.2], "command": (0.0, 0.45)}, 8.0 * math.exp(-0.5)),
+    ("position_alignment", {"position": [1.3, 0.4, 0.5], "platform_position": [1.0, 0.0, 0.15]}, -30.0 * 0.5),
+    ("heading_alignment", {"euler": [0, 0, 0.3], "platform_euler": [0, 0, -0.2]}, -4.0 * 0.5),
+    ("heading_alignment", {"euler": [0, 0, 3.1], "platform_euler": [0, 0, -3.1]}, -4.0 * (2 * math.pi - 6.2)),
+    ("com_stabilization", {"com": [0.19, -0.09, 0.5]}, 0.0),
+    ("com_stabilization", {"com": [0.21, 0.0, 0.5]}, -1.0),
+    ("com_stabilization", {"com": [0.0, -0.11, 0.5]}, -1.0),
+    # height 0.3 over the feet, vertical acceleration 0: the ZMP is 0.3 / 9.81 × 5 = 0.153 m behind the CoM
+    ("zmp_stabilization", {"acceleration": [5.0, 0.0, 0.0]}, 0.0),
+    ("zmp_stabilization", {"acceleration": [0.0, 5.0, 0.0]}, -1.0),
+    ("zmp_stabilization", {"acceleration": [7.0, 0.0, 0.0]}, -1.0),
+    # pressed down with 9.81 more, it is half as far
+    ("zmp_stabilization", {"acceleration": [7.0, 0.0, 9.81]}, 0.0),
+    ("contact_maintenance", {"foot_force": forces(50.0, 0.5, 0.0, 2.0)}, -2.0 * 2),
+    ("contact_maintenance", {}, 0.0),
+    # 0.275 above the deck's centre, where 0.28 above its top = 0.305 is wanted
+    ("height_maintenance", {"position": [0, 0, 0.425]}, -0.03),
+    ("height_maintenance", {"position": [0, 0, 0.475]}, -0.02),
+    ("transporter_smoothness", {**MOVING, "readings": Readings(planar_smoothness=True)}, -(5.0 + 2.0)),
+    ("transporter_smoothness", {**MOVING, "readings": Readings(planar_smoothness=False)}, -(5.0 + 3.0)),
+    ("body_orientation", {"euler": [0.3, -0.4, 2.0]}, -0.9 * 0.5),
+    ("body_velocity", {"angular_velocity": [3, -4, 9], "velocity": [7, 7, -2]}, -1e-3 * (5.0 + 2.0)),
+    ("action_smoothness", {"action": joints(3.0, 1.0), "previous_action": joints(0.0, 5.0)}, -1e-5 * 5.0),
+    (
+        "joint_smoothness",
+        {"torque": joints(3, 4), "joint_velocity": joints(6, 8), "joint_acceleration": joints(0, 1e4)},
+        -(1e-4 * 5 + 1e-4 * 10 + 1e-7 * 1e4),
+    ),
+    ("postural_deviation", {"joint_position": [Q0[0] + 0.3, Q0[1] - 0.4, *Q0[2:]]}, -1e-2 * 0.5),
+    # 2 × 1 counts; -3 × 1, 4 × (-1) brake
+    ("energy_efficiency", {"torque": joints(2, -3, 4, -5), "joint_velocity": joints(1, 1, -1, -2)}, -1e-4 * (2 + 10)),
+    ("force_regulation", {"foot_force": forces(150.0, 100.0, 99.0, 250.0)}, -1e-2 * (50 + 150)),
+    ("force_regulation", {"foot_force": [[90.0, 120.0, 0.0], *forces(1, 1, 1)]}, -1e-2 * 50),
+    ("collision_avoidance", {"other_force": [0.0, 0.0, 1.5]}, -10.0),
+    ("collision_avoidance", {"other_force": [0.0, 0.5, 0.5]}, 0.0),
+    ("termination", {"terminated": True}, -10.0),
+    ("termination", {"terminated": False}, 0.0),
+]
+
+
+def test_the_paper_has_eighteen_terms_and_the_sheet_covers_them():
+    assert len(REWARD_TERMS) == 18
+    assert list(dict.fromkeys(name for name, *_ in SHEET)) == list(REWARD_TERMS)
+
+
+@pytest.mark.parametrize(("name", "situation", "expected"), SHEET, ids=[f"{i}-{row[0]}" for i, row in enumerate(SHEET)])
+def test_term_by_hand(make_context, name, situation, expected):
+    value = REWARD_TERMS[name](make_context(**situation))
+    assert value.shape == (1,)
+    assert value.item() == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def test_standing_still_as_asked_earns_the_two_tracking_rewards_alone(make_context):
+    terms = {name: term(make_context()).item() for name, term in REWARD_TERMS.items()}
+    assert {name for name, value in terms.items() if abs(value) > 1e-6} == set(TRACKING)
+    assert terms["forward_command"] == terms["steering_command"] == 8.0
+
+
+def test_polygon_is_the_quadrilateral_of_the_feet():
+    feet = torch.tensor([[0.2, -0.1], [-0.3, -0.2], [0.2, 0.1], [-0.3, 0.2]]).expand(6, 4, 2)
+    points = torch.tensor([[0.0, 0.0], [0.0, 0.13], [0.1, 0.13], [-0.25, -0.18], [0.21, 0.0], [-0.31, 0.0]])
+    assert outside_polygon(points, feet).tolist() == [0, 0, 1, 0, 1, 1]
+
+
+def test_penalties_are_never_positive(make_context):
+    generator = torch.Generator().manual_seed(0)
+    example = make_context()
+    for _ in range(50):
+        state = {
+            field.name: torch.randn(getattr(example.state, field.name).shape[1:], generator=generator) * 3
+            for field in dataclasses.fields(example.state)
+        }
+        context = make_context(
+            command=(1.0, -1.0),
+            action=torch.randn(12, generator=generator),
+            previous_action=torch.randn(12, generator=generator),
+            terminated=bool(torch.rand((), generator=generator) < 0.5),
+            **state,
+        )
+        for name, term in REWARD_TERMS.items():
+            value = term(context)
+            assert torch.isfinite(value).all(), name
+            assert (value >= 0).all() if name in TRACKING else (value <= 0).all(), name
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.02])
+def test_terms_are_scaled_and_add_up(make_context, scale):
+    context = make_context(terminated=True, speeds=[0.4, 0.0], position=[0.2, 0.0, 0.4])
+    reward, terms = compute_rewards(context, scale=scale, clip_to_positive=False)
+    assert reward.shape == (1, 1)
+    assert torch.equal(reward, torch.stack(list(terms.values())).sum(0))
+    for name, value in terms.items():
+        torch.testing.assert_close(value, scale * REWARD_TERMS[name](context).unsqueeze(-1))
+
+
+def test_clipping_cuts_the_sum_at_zero_and_adds_termination_after(make_context):
+    bad = {"position": [3.0, 0.0, 0.455]}  # -90 for the position
+    for situation, expected in (
+        (bad, 0.0),
+        ({**bad, "terminated": True}, -10.0),
+        ({}, 16.0),
+        ({"terminated": True}, 6.0),
+    ):
+        reward, _ = compute_rewards(make_context(**situation), scale=1.0, clip_to_positive=True)
+        assert reward.item() == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("profile", ["default", "ancestor"])
+def test_the_env_emits_terms_that_make_up_its_reward(profile):
+    env = RidingEnv(num_envs=3, seed=0, profile=profile, num_threads=1)
+    steps = env.rollout(8, break_when_any_done=False)["next"]
+    terms = steps["reward_terms"]
+    assert list(terms.keys()) == list(REWARD_TERMS)
+    total = torch.stack(list(terms.values())).sum(0)
+    if profile == "ancestor":
+        total = (total - terms["termination"]).clamp_min(0.0) + terms["termination"]
+    torch.testing.assert_close(steps["reward"], total)
+
+
+def test_rewards_are_multiplied_by_the_control_period_unless_the_profile_says_no():
+    rewards = []
+    for times_dt in (True, False):
+        readings = get_readings("default", rewards_times_dt=times_dt)
+        env = RidingEnv(num_envs=2, seed=0, profile=readings, num_threads=1)
+        td = env.reset().set("action", torch.zeros(2, 12))
+        rewards.append(env.step(td)["next", "reward"])
+    torch.testing.assert_close(rewards[0], 0.02 * rewards[1])
+
+
+def test_a_new_term_is_one_entry(make_context):
+    try:
+        reward_term("quiet")(lambda context: -context.action.abs().sum(-1))
+        _, terms = compute_rewards(make_context(action=joints(2.0)), scale=0.5, clip_to_positive=False)
+        assert terms["quiet"].item() == -1.0
+        with pytest.raises(ValueError, match="'quiet' is registered already"):
+            reward_term("quiet")(lambda context: context.action.sum(-1))
+    finally:
+        REWARD_TERMS.pop("quiet", None)
