@@ -1,10 +1,12 @@
 """Swap the estimator from outside the package: register one, check it, train with it.
 
-    python examples/own_estimator.py
-    torchrl-atr train --import examples.own_estimator --estimator dilated --max-minutes 5 --output runs/dilated
+python examples/own_estimator.py
+torchrl-atr train --import examples.own_estimator --estimator dilated --max-minutes 5 --output runs/dilated
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -19,7 +21,7 @@ class DilatedEstimator(nn.Module):
         super().__init__()
         features = [history_shape[1], width, width, width]
         layers: list[nn.Module] = []
-        for i, (before, after) in enumerate(zip(features, features[1:])):
+        for i, (before, after) in enumerate(pairwise(features)):
             layers += [nn.Conv1d(before, after, 3, padding=2**i, dilation=2**i), nn.ELU()]
         self.body = nn.Sequential(*layers)
         self.head = nn.Linear(width, out_features)
@@ -27,8 +29,10 @@ class DilatedEstimator(nn.Module):
     def forward(self, history: Tensor) -> Tensor:
         """(*B, H, D) to (*B, out_features)."""
         flat = history.reshape(-1, *history.shape[-2:]).transpose(-1, -2)
-        return self.head(self.body(flat).mean(-1)).unflatten(0, history.shape[:-2] or (1,)).reshape(
-            *history.shape[:-2], -1
+        return (
+            self.head(self.body(flat).mean(-1))
+            .unflatten(0, history.shape[:-2] or (1,))
+            .reshape(*history.shape[:-2], -1)
         )
 
 

@@ -81,7 +81,7 @@ def main(iterations: int = 50, num_envs: int = 256, steps: int = 24, seed: int =
     return rewards
 
 
-def optimise(optimizer: torch.optim.Optimizer, terms) -> None:  # noqa: ANN001
+def optimise(optimizer: torch.optim.Optimizer, terms) -> None:
     """One step down the sum of the ``loss_*`` entries."""
     optimizer.zero_grad()
     sum(value for key, value in terms.items() if key.startswith("loss_")).backward()
@@ -93,4 +93,4 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--iterations", type=int, default=50)
     parser.add_argument("--num-envs", type=int, default=256)
-    main(**{key: value for key, value in vars(parser.parse_args()).items()})
+    main(**vars(parser.parse_args()))

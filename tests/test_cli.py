@@ -9,7 +9,13 @@ from torchrl_atr.cli import main
 
 @pytest.mark.parametrize(
     ("what", "expected"),
-    [("robots", "a1"), ("transporters", "single_board"), ("profiles", "literal"), ("estimators", "cnn_gru"), ("rewards", "termination")],
+    [
+        ("robots", "a1"),
+        ("transporters", "single_board"),
+        ("profiles", "literal"),
+        ("estimators", "cnn_gru"),
+        ("rewards", "termination"),
+    ],
 )
 def test_list(capsys, what, expected):
     assert main(["list", what]) == 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import logging
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +13,19 @@ from typing import Any
 from torchrl_atr import __version__
 
 _DEFAULT_RUN = Path("runs/latest")
+_SETTINGS = (
+    "robot",
+    "transporter",
+    "profile",
+    "estimator",
+    "imports",
+    "num_envs",
+    "total_frames",
+    "max_minutes",
+    "seed",
+    "device",
+)
+"""Settings that have an option of their own."""
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -78,10 +91,7 @@ def train(arguments: argparse.Namespace) -> None:
         Trainer(make_config(values), arguments.resume, state).train()
         return
     values = read_config(arguments.config) if arguments.config else {}
-    names = (
-        "robot transporter profile estimator imports num_envs total_frames max_minutes seed device".split()
-    )
-    values |= {name: getattr(arguments, name) for name in names if getattr(arguments, name) is not None}
+    values |= {name: getattr(arguments, name) for name in _SETTINGS if getattr(arguments, name) is not None}
     config = make_config(values, arguments.overrides)
     for module in config.imports:
         try:
@@ -96,17 +106,15 @@ def evaluate(arguments: argparse.Namespace) -> None:
     """``torchrl-atr evaluate``."""
     from functools import partial
 
-    from torchrl_atr.evaluation import command_grid, tracking_metrics, evaluate_tracking, write_report
+    from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics, write_report
     from torchrl_atr.training import load_run, make_env
 
     config, env, networks, _ = load_run(arguments.run, num_envs=1)
     env.close()
     result = evaluate_tracking(
         networks.deployed_policy(),
-        partial(make_env, config, randomization=arguments.randomization, pushes=False),
-        command_grid(
-            arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step
-        ),
+        partial(make_env, config, randomization=arguments.randomization, pushes=False, runaway_margin=None),
+        command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
         robots_per_command=arguments.robots_per_command,
         seed=arguments.seed,
         encoder_module=networks.encoder_module,
@@ -124,7 +132,7 @@ def play(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import play_viewer, record_video
     from torchrl_atr.training import load_run
 
-    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, pushes=False)
+    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, pushes=False, runaway_margin=None)
     policy = networks.deployed_policy()
     if arguments.video is None:
         play_viewer(policy, env)
@@ -181,7 +189,7 @@ _COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play,
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; bad input ends with one message and exit code 2."""
     arguments = build_parser().parse_args(argv)
-    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported, by the command
     try:
         _COMMANDS[arguments.command](arguments)
     except KeyboardInterrupt:

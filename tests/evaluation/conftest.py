@@ -13,7 +13,7 @@ TRACKING = (("reward_terms", "forward_command"), ("reward_terms", "steering_comm
 
 
 class PuppetEnv(EnvBase):
-    """Its speeds are its actions; a row whose action is NaN falls. It knows the truth its policies estimate."""
+    """Its speeds are its actions; a row whose action is NaN falls; it emits the truth to be estimated."""
 
     batch_locked = True
 

@@ -75,7 +75,7 @@ def test_a_fall_ends_a_trials_figures(evaluate):
 
 
 def test_a_fallen_robot_is_neither_reset_nor_driven(evaluate):
-    """A policy that says NaN for ever gets zeros through after the fall: the puppet falls once, then stands at 0."""
+    """Of a policy that says NaN for ever only zeros get through after the fall."""
     made = []
 
     def make_env(num_envs, seed):
@@ -183,7 +183,7 @@ def _riding(num_envs, seed):
 
 
 def test_the_deployed_policy_on_the_real_env():
-    """Two commands, two robots each, a second; everything is finite and the same seed gives the same figures."""
+    """Two commands, two robots each, a second: all is finite, and the same seed gives the same figures."""
     env = _riding(1, 0)
     networks = make_networks(env.observation_spec, env.action_spec, estimator="mlp")
     run = partial(

@@ -70,7 +70,8 @@ def test_the_first_importance_ratio_is_one(tmp_path, source):
 
 def test_an_estimator_from_outside_trains(tmp_path):
     if "outsider" not in available_estimators():
-        register_estimator("outsider", lambda history_shape, out_features: get_estimator("mlp")(history_shape, out_features))
+        mlp = get_estimator("mlp")
+        register_estimator("outsider", lambda history_shape, out_features: mlp(history_shape, out_features))
     trainer = Trainer(make_config({**TINY, "estimator": "outsider", "total_frames": 64}), tmp_path / "run")
     before = [p.clone() for p in trainer.learner.networks.estimator_parameters()]
     trainer.train()

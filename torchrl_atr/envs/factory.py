@@ -29,17 +29,26 @@ def make_riding_env(
     max_steps: int = 1000,
     window: int = 250,
     grid: CommandGrid | None = None,
+    runaway_margin: tuple[float, float] | None = None,
     **curriculum: Any,
 ) -> TransformedEnv:
     """A :class:`RidingEnv` behind command curriculum, observation, history, time limit and episode reward.
 
     Args:
-        robot, transporter, num_envs, physics, randomization, profile, num_threads, pushes: of :class:`RidingEnv`.
+        robot: name of a registered robot.
+        transporter: name of a registered transporter.
+        num_envs: N.
+        physics: ``"batch"`` or ``"dm_control"``.
+        randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
+        profile: name of a profile, or readings of your own.
+        num_threads: physics threads; None for the CPUs this process may use.
+        pushes: whether robot and platform are pushed every 3 s.
         seed: of env and curriculum alike, since ``env.set_seed`` does not reach transforms.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
         window: control steps that a command lasts (5 s at 50 Hz).
         grid: the curriculum's cells and update rule; None for the paper's.
+        runaway_margin: end episodes of transporters faster than any command by this much, m/s and rad/s (for training).
         **curriculum: further arguments of :class:`~torchrl_atr.envs.transforms.CommandCurriculum`.
 
     Returns:
@@ -68,6 +77,7 @@ def make_riding_env(
         max_steps=max_steps,
         window=window,
         grid=grid,
+        runaway_margin=runaway_margin,
         seed=seed,
         **curriculum,
     )

@@ -14,7 +14,8 @@ from torchrl.envs import EnvBase
 from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, Scene, build_scene
 from torchrl_atr.envs.physics.engine import DECIMATION, Engine
 from torchrl_atr.envs.profiles import Readings, get_readings
-from torchrl_atr.envs.task import randomization as intrinsics, rewards
+from torchrl_atr.envs.task import randomization as intrinsics
+from torchrl_atr.envs.task import rewards
 from torchrl_atr.envs.task.core import COMMAND_FEATURES, RidingTask
 
 PhysicsEngine = Literal["batch", "dm_control"]
@@ -23,9 +24,9 @@ PhysicsEngine = Literal["batch", "dm_control"]
 class RidingEnv(EnvBase):
     """Quadrupeds riding tilt-driven transporters.
 
-    Each robot has its own intrinsic parameters (Table II), drawn anew at every reset. The env scores with the command it
-    is given and echoes it; :class:`~torchrl_atr.envs.transforms.CommandCurriculum` usually draws it. Without a command
-    it is zero. Partial resets (``_reset`` mask) touch only the rows they name.
+    Each robot has its own intrinsic parameters (Table II), drawn anew at every reset. The env scores with the
+    command it is given and echoes it; :class:`~torchrl_atr.envs.transforms.CommandCurriculum` usually draws
+    it. Without a command it is zero. Partial resets (``_reset`` mask) touch only the rows they name.
 
     Args:
         robot: name of a registered robot.
@@ -40,11 +41,13 @@ class RidingEnv(EnvBase):
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
-        ValueError: for an impossible ``num_envs``, ``physics`` or ``randomization``, a NaN action or a misshapen command.
+        ValueError: for an impossible ``num_envs``, ``physics`` or ``randomization``, a NaN action or a
+            misshapen command.
 
-    Keys: ``action`` (N, 12) and ``command`` (N, 2) in; ``proprio`` (N, 44), ``command``, ``observation`` (N, 46),
-    ``("privileged", "intrinsic")`` (N, 34), ``("privileged", "extrinsic")`` (N, 16), ``speeds`` (N, 2), the forward speed
-    and yaw rate that answer the command, ``("reward_terms", name)`` and ``reward`` (N, 1), ``done``, ``terminated``, ``truncated`` (N, 1) out; float32, SI units.
+    Keys: ``action`` (N, 12) and ``command`` (N, 2) in; ``proprio`` (N, 44), ``command``, ``observation``
+    (N, 46), ``("privileged", "intrinsic")`` (N, 34), ``("privileged", "extrinsic")`` (N, 16), ``speeds``
+    (N, 2), the forward speed and yaw rate that answer the command, ``("reward_terms", name)`` and ``reward``
+    (N, 1), ``done``, ``terminated``, ``truncated`` (N, 1) out; float32, SI units.
 
     Example:
         >>> env = RidingEnv(num_envs=4, seed=0)
@@ -163,7 +166,11 @@ class RidingEnv(EnvBase):
     def _pack(self, observed: dict[Any, Tensor], terminated: Tensor, terms: dict[str, Tensor] | None) -> TensorDict:
         terminated = terminated.unsqueeze(-1)
         terms = terms or {name: torch.zeros(terminated.shape) for name in rewards.REWARD_TERMS}
-        flags = {"terminated": terminated, "truncated": torch.zeros_like(terminated), "done": terminated.clone()}
+        flags = {
+            "terminated": terminated,
+            "truncated": torch.zeros_like(terminated),
+            "done": terminated.clone(),
+        }
         nested: dict[str, Any] = {"reward_terms": terms, **flags}
         for key, value in observed.items():
             if isinstance(key, tuple):
@@ -173,7 +180,7 @@ class RidingEnv(EnvBase):
         return TensorDict(nested, batch_size=self.batch_size)
 
     def get_state(self) -> TensorDict:
-        """Everything :meth:`set_state` needs to continue from here, on either engine (float64 simulation state)."""
+        """Everything :meth:`set_state` needs to continue from here, on either engine."""
         state = {**self.task.get_state(), "command": self._emitted["command"].clone()}
         return TensorDict(state, batch_size=self.batch_size)
 

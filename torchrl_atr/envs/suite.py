@@ -1,4 +1,4 @@
-"""The riding task in dm_control's own terms: ``load(robot, transporter)`` gives an ordinary ``control.Environment``."""
+"""The riding task in dm_control's own terms: ``load`` gives an ordinary ``control.Environment``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import torch
 from dm_control.rl import control
 from dm_env import specs
 from numpy.typing import ArrayLike, NDArray
-from torch import Tensor
 
 from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
 from torchrl_atr.envs.physics.dmc import DmControlEngine, RidingPhysics
@@ -91,7 +90,7 @@ class SuiteTask(control.Task):
         command = torch.as_tensor(np.asarray(value, dtype=np.float32)).reshape(1, -1)
         if command.shape != self._command.shape or not torch.isfinite(command).all():
             names = ", ".join(COMMAND_FEATURES)
-            raise ValueError(f"command={value!r}: give {command.new_empty(self._command.shape[1:]).numel()} finite numbers, ({names})")
+            raise ValueError(f"command={value!r}: give {len(COMMAND_FEATURES)} finite numbers, ({names})")
         self._command = command.clone()
 
     @property
@@ -114,7 +113,7 @@ class SuiteTask(control.Task):
         self._outcome = self.core.judge(self._command)
 
     def action_spec(self, physics: RidingPhysics) -> specs.BoundedArray:
-        """Joint displacements in units of the action scale, bounded by what the joints' control ranges let through."""
+        """Joint displacements in units of the action scale, within what the control ranges let through."""
         scene = self.core.scene
         limits = scene.model.actuator_ctrlrange[scene.layout.actuators]
         low, high = (limits - np.array(scene.robot.q0)[:, None]).T / scene.robot.action_scale

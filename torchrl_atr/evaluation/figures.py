@@ -104,6 +104,7 @@ def plot_response(result: TrackingResult, path: str | Path) -> Path:
             dots = axis.scatter(asked[up], came[up], c=other[up], cmap="cividis", s=14, alpha=0.8)
             figure.colorbar(dots, ax=axis, label=shade)
             axis.set(xlabel=x_label, ylabel=y_label, title=f"Settled {y_label.split(' $')[0]}")
+            axis.locator_params(axis="x", nbins=5)
             axis.legend()
         return _save(figure, path)
 

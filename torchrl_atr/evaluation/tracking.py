@@ -142,10 +142,13 @@ def evaluate_tracking(
         TypeError: if the env cannot pin commands, or cannot be measured.
 
     Example:
-        >>> from functools import partial
-        >>> from torchrl_atr.envs import make_riding_env  # doctest: +SKIP
-        >>> make_env = partial(make_riding_env, "a1", "single_board", pushes=False)  # doctest: +SKIP
-        >>> result = evaluate_tracking(networks.deployed_policy(), make_env)  # doctest: +SKIP
+        >>> from torchrl_atr.envs import make_riding_env
+        >>> from torchrl_atr.modules import make_networks
+        >>> make_env = partial(make_riding_env, "a1", "single_board", pushes=False)
+        >>> env = make_env(num_envs=1, seed=0)
+        >>> policy = make_networks(env.observation_spec, env.action_spec).deployed_policy()
+        >>> evaluate_tracking(policy, make_env, ([0.0, 1.0], [0.0]), 2, 0.1, 0.0).survived.shape
+        (2, 1, 2)
     """
     grid = command_grid() if commands is None else commands
     axes = [np.asarray(axis, dtype=np.float64).reshape(-1) for axis in grid]

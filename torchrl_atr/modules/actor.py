@@ -19,7 +19,11 @@ class StateIndependentStd(nn.Module):
     """One learned standard deviation per action, never below a floor (the paper's theta_std).
 
     ``std = min_std + softplus(raw)``: unlike a clamp, which has no gradient below the floor and so keeps an
-    action there for good, softplus lets exploration grow again from any value.
+    action there for good, softplus lets exploration grow again from any value. A recipe may lower ``ceiling``
+    between iterations to anneal the exploration.
+
+    Attributes:
+        ceiling (Tensor): what no std exceeds, a scalar buffer; infinite unless lowered.
 
     Args:
         features (int): number of actions.
@@ -41,10 +45,13 @@ class StateIndependentStd(nn.Module):
         self.min_std = float(min_std)
         raw = math.log(math.expm1(init_std - min_std))
         self.raw = nn.Parameter(torch.full((features,), raw))
+        self.register_buffer("ceiling", torch.tensor(math.inf))
+
+    ceiling: Tensor
 
     def forward(self) -> Tensor:
         """Return the standard deviations, (features,)."""
-        return self.min_std + nn.functional.softplus(self.raw)
+        return (self.min_std + nn.functional.softplus(self.raw)).clamp_max(self.ceiling)
 
 
 class ActorBackbone(nn.Module):

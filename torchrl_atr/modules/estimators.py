@@ -107,7 +107,7 @@ class CNNGRUEstimator(nn.Module):
         history_shape (tuple of int): ``(H, D)``, any ``H >= 1``.
         out_features (int): size of the estimate.
         channels (int): channels of both convolutions. Defaults to 32.
-        gru_features (int): width of the GRU. Defaults to 128.
+        gru_features (int): width of the GRU. Defaults to 64.
         mlp_cells (sequence of int): hidden widths of the head. Defaults to ``(128,)``.
 
     Examples:
@@ -121,7 +121,7 @@ class CNNGRUEstimator(nn.Module):
         history_shape: tuple[int, int],
         out_features: int,
         channels: int = 32,
-        gru_features: int = 128,
+        gru_features: int = 64,
         mlp_cells: Sequence[int] = (128,),
     ) -> None:
         super().__init__()

@@ -12,7 +12,7 @@ from typing import Any
 
 from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
 from torchrl_atr.envs.profiles import PROFILES
-from torchrl_atr.modules import SOURCES, get_estimator
+from torchrl_atr.modules import SOURCES, Source, get_estimator
 
 
 class ConfigError(ValueError):
@@ -40,13 +40,20 @@ class TrainConfig:
         critic_learning_rate, estimator_learning_rate: fixed.
         clip_epsilon, entropy_coeff, max_grad_norm: PPO.
         init_std, min_std: exploration, in units of the action.
+        final_std: ceiling of the exploration at the end of the run, lowered linearly from ``init_std`` after
+            ``anneal_from`` of it.
+        anneal_from: share of the run, in [0, 1).
         roa_coeff: λ of Eq. 15.
         adaptation_epochs: passes of the estimators over a batch.
         act_source: what the actor acts on in training: ``privileged``, ``estimated`` or ``mixed`` (A24).
         student_fraction: share of the robots that act on the estimates under ``mixed``.
         history_length: H.
+        critic_cells: hidden widths of the critic; the actor's are Table I's.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
+        tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
+        score_from_seconds: part of a command's time that the score leaves out (A6).
         initial_speed, initial_yaw_rate: half widths of the first command box, m/s and rad/s.
+        runaway_speed, runaway_yaw_rate: how much faster than any command a transporter may get before its episode ends.
         checkpoint_seconds: longest time between checkpoints.
     """
 
@@ -55,7 +62,7 @@ class TrainConfig:
     profile: str = "default"
     estimator: str = "cnn_gru"
     imports: tuple[str, ...] = ()
-    num_envs: int = 512
+    num_envs: int = 256
     rollout_steps: int = 24
     total_frames: int = 50_000_000
     max_minutes: float = 0.0
@@ -64,27 +71,34 @@ class TrainConfig:
     num_threads: int = 0
     gamma: float = 0.995
     gae_lambda: float = 0.95
-    epochs: int = 4
+    epochs: int = 3
     minibatches: int = 4
-    learning_rate: float = 1e-3
+    learning_rate: float = 3e-4
     max_learning_rate: float = 2e-3
-    target_kl: float = 0.01
+    target_kl: float = 0.02
     critic_learning_rate: float = 1e-3
     estimator_learning_rate: float = 1e-3
     clip_epsilon: float = 0.2
     entropy_coeff: float = 0.0
     max_grad_norm: float = 1.0
     init_std: float = 0.2
-    min_std: float = 0.05
+    min_std: float = 0.03
+    final_std: float = 0.08
+    anneal_from: float = 0.3
     roa_coeff: float = 0.2
     adaptation_epochs: int = 1
-    act_source: str = "mixed"
+    act_source: Source = "mixed"
     student_fraction: float = 0.5
     history_length: int = 10
+    critic_cells: tuple[int, ...] = (256, 128, 64)
     episode_seconds: float = 20.0
     command_seconds: float = 5.0
+    tracking_threshold: float = 0.8
+    score_from_seconds: float = 0.0
     initial_speed: float = 0.5
     initial_yaw_rate: float = 0.3
+    runaway_speed: float = 2.0
+    runaway_yaw_rate: float = 2.0
     checkpoint_seconds: float = 60.0
 
     def __post_init__(self) -> None:
@@ -97,6 +111,11 @@ class TrainConfig:
         PROFILES.get(self.profile)
         if self.act_source not in SOURCES:
             raise ConfigError(f"act_source={self.act_source!r} is unknown; choose one of {', '.join(SOURCES)}")
+        if self.score_from_seconds >= self.command_seconds:
+            raise ConfigError(
+                f"score_from_seconds={self.score_from_seconds:g} must be below "
+                f"command_seconds={self.command_seconds:g}: nothing would be left to score"
+            )
         if self.min_std >= self.init_std:
             raise ConfigError(f"min_std={self.min_std:g} must be below init_std={self.init_std:g}")
 
@@ -140,14 +159,20 @@ _RANGES: dict[str, tuple[float, float]] = {
     "max_grad_norm": (_POSITIVE, 1e9),
     "init_std": (1e-3, 10),
     "min_std": (0, 10),
+    "final_std": (1e-3, 10),
+    "anneal_from": (0, 0.99),
     "roa_coeff": (0, 1e3),
     "adaptation_epochs": (1, 1000),
     "student_fraction": (0, 1),
     "history_length": (1, 1000),
     "episode_seconds": (0.1, 1e6),
     "command_seconds": (0.1, 1e6),
+    "tracking_threshold": (0.01, 1),
+    "score_from_seconds": (0, 1e6),
     "initial_speed": (0.0, 15.0),
     "initial_yaw_rate": (0.0, 2.0),
+    "runaway_speed": (_POSITIVE, 1e6),
+    "runaway_yaw_rate": (_POSITIVE, 1e6),
     "checkpoint_seconds": (0, 1e6),
 }
 
@@ -202,7 +227,8 @@ def _convert(name: str, value: Any, default: Any) -> Any:
     kind = type(default)
     try:
         if kind is tuple:
-            return tuple(part for part in value.split(",") if part) if isinstance(value, str) else tuple(value)
+            parts = [part for part in value.split(",") if part] if isinstance(value, str) else value
+            return tuple(type(default[0])(part) if default else str(part) for part in parts)
         if kind is int:
             number = float(value)
             if number != int(number):

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import torch
-from tensordict import TensorDict, TensorDictBase
-from torch import Tensor, nn
+from tensordict import TensorDictBase
+from torch import nn
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.objectives.utils import KLAdaptiveLR
 from torchrl.objectives.value import GAE
@@ -15,7 +15,6 @@ from torchrl.objectives.value import GAE
 from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import ROAClipPPOLoss
 from torchrl_atr.training.config import TrainConfig
-
 
 
 class Learner:
@@ -66,9 +65,7 @@ class Learner:
             "estimators": config.estimator_learning_rate,
         }
         self.optimizers = {name: torch.optim.Adam(group, lr=rates[name]) for name, group in self._groups.items()}
-        self.schedule = KLAdaptiveLR(
-            self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate
-        )
+        self.schedule = KLAdaptiveLR(self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate)
         size = config.frames_per_batch
         self.buffer = TensorDictReplayBuffer(
             storage=LazyTensorStorage(size, device=config.device),
@@ -108,13 +105,11 @@ class Learner:
 
     def _policy_steps(self) -> Iterator[TensorDictBase]:
         for _ in range(self.config.epochs):
-            divergence: list[Tensor] = []
             for minibatch in self.buffer:
                 terms = self.loss.policy_loss(minibatch)
+                self.schedule.step(terms["kl_approx"].detach().abs())
                 self._step(terms, "policy", "critic")
-                divergence.append(terms["kl_approx"].detach())
                 yield terms
-            self.schedule.step(torch.stack(divergence).mean().abs())
 
     def _adaptation_steps(self) -> Iterator[TensorDictBase]:
         for _ in range(self.config.adaptation_epochs):
@@ -134,8 +129,8 @@ class Learner:
 
     @staticmethod
     def _average(steps: Iterator[TensorDictBase]) -> dict[str, float]:
-        terms = torch.stack([TensorDict(dict(step.items())).detach() for step in steps])
-        return {str(key): float(value.float().mean()) for key, value in terms.items()}
+        terms = [{str(key): float(value.detach().mean()) for key, value in step.items()} for step in steps]
+        return {key: sum(term[key] for term in terms) / len(terms) for key in terms[0]}
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that training changes here: networks, optimisers, schedule."""

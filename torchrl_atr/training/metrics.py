@@ -11,24 +11,24 @@ from torchrl_atr.envs.task.rewards import KERNEL_WIDTH
 _TRACKING = {"speed_error": "forward_command", "yaw_error": "steering_command"}
 
 
-def batch_metrics(batch: TensorDictBase, tracking_max: tuple[float, float]) -> dict[str, float]:
+def batch_metrics(batch: TensorDictBase, tracking_max: dict[str, float]) -> dict[str, float]:
     """Means over a batch of the riding env.
 
     Args:
         batch: (N, T) with ``next`` holding ``reward_terms``, ``step_count`` and the done flags.
-        tracking_max: what the two tracking rewards reach at perfect tracking, as emitted.
+        tracking_max: what each tracking reward reaches at perfect tracking, as emitted.
 
     Returns:
-        ``speed_error`` (m/s) and ``yaw_error`` (rad/s), recovered from the tracking rewards; the same for the robots that
-        act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw rate that is
+        ``speed_error`` (m/s) and ``yaw_error`` (rad/s), recovered from the tracking rewards; the same for the robots
+        that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw rate that is
         reached; ``episode_length`` (steps) and ``episode_reward`` of finished episodes where there are any;
         ``falls``, terminations per robot and second; ``reward/...`` means of the terms.
     """
     after = batch["next"]
     metrics = {}
     student = batch.get(("act", "student"), None)
-    for (name, term), maximum in zip(_TRACKING.items(), tracking_max):
-        error = -KERNEL_WIDTH * torch.log((after["reward_terms", term] / maximum).clamp_min(1e-12))
+    for name, term in _TRACKING.items():
+        error = -KERNEL_WIDTH * torch.log((after["reward_terms", term] / tracking_max[term]).clamp_min(1e-12))
         metrics[name] = float(error.mean())
         if student is not None and student.any():
             metrics[f"student_{name}"] = float(error[student].mean())

@@ -48,6 +48,9 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "history_length": config.history_length,
         "max_steps": round(config.episode_seconds / CONTROL_DT),
         "window": round(config.command_seconds / CONTROL_DT),
+        "thresholds": (config.tracking_threshold,) * 2,
+        "score_from": round(config.score_from_seconds / CONTROL_DT),
+        "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
         "grid": CommandGrid(initial=(config.initial_speed, config.initial_yaw_rate)),
     }
     return make_riding_env(**{**arguments, **overrides})
@@ -67,6 +70,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         env.observation_spec,
         env.action_spec,
         estimator=config.estimator,
+        critic_cells=config.critic_cells,
         init_std=config.init_std,
         min_std=config.min_std,
     )
@@ -106,7 +110,7 @@ class Trainer:
         self.env = make_env(config)
         self.curriculum = self.env.transform[0]
         scale = CONTROL_DT if self.env.base_env.readings.rewards_times_dt else 1.0
-        self._tracking_max = tuple(scale * value for value in MAX_TRACKING.values())
+        self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
         networks = make_run_networks(config, self.env).to(config.device)
         with torch.no_grad():
             networks.update_normalizers(self.env.rollout(config.rollout_steps))
@@ -140,6 +144,7 @@ class Trainer:
             with self.progress:
                 batches = iter(collector)
                 while not self.finished:
+                    self._anneal()
                     metrics = self._iterate(next(batches), started)
                     self.progress.update(metrics)
                     if on_iteration is not None:
@@ -152,10 +157,22 @@ class Trainer:
         self.save()
 
     @property
+    def progress_made(self) -> float:
+        """Share of the frames or of the minutes that is used up, whichever is larger; 1 or more ends the run."""
+        by_frames, minutes = self.frames / self.config.total_frames, self.config.max_minutes
+        return max(by_frames, self.seconds / 60 / minutes) if minutes > 0 else by_frames
+
+    @property
     def finished(self) -> bool:
         """Whether frames or minutes have run out."""
-        minutes = self.config.max_minutes
-        return self.frames >= self.config.total_frames or (minutes > 0 and self.seconds >= 60 * minutes)
+        return self.progress_made >= 1
+
+    def _anneal(self) -> None:
+        """Lowers the ceiling of the exploration: late in a run, noise hides which way the board is tilted."""
+        config = self.config
+        late = max(0.0, self.progress_made - config.anneal_from) / (1 - config.anneal_from)
+        ceiling = config.init_std + late * (config.final_std - config.init_std)
+        self.learner.networks.backbone.std.ceiling.fill_(max(ceiling, config.min_std))
 
     def _iterate(self, batch: TensorDictBase, started: float) -> dict[str, float]:
         collected = time.monotonic()

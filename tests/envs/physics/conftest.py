@@ -1,4 +1,4 @@
-"""A rigid block on four ball feet in the robot's place: our deck and our engine, with a rider of known mechanics."""
+"""A rigid block on four ball feet in the robot's place: our deck and engine, a rider of known mechanics."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from torchrl_atr.envs.profiles import Readings
 MASS = 12.0
 CENTRE = 0.05
 """Height of the block's centre of mass above its soles, m."""
+FEET = {"FR": (0.1, -0.1), "RR": (-0.1, -0.1), "FL": (0.1, 0.1), "RL": (-0.1, 0.1)}
+_FOOT = """
+  <geom name="{name}" type="sphere" size="0.02" pos="{x} {y} {z}" mass="0" conaffinity="0"/>
+  <site name="{name}" pos="{x} {y} {z}"/>
+"""
 _BLOCK = f"""
 <mujoco model="block"><worldbody><body name="trunk"><freejoint/>
   <inertial pos="0 0 0" mass="{MASS}" diaginertia="0.2 0.2 0.2"/>
-  {"".join(
-      f'<geom name="{name}" type="sphere" size="0.02" pos="{x} {y} {0.02 - CENTRE}" contype="1" conaffinity="0" mass="0"/>'
-      f'<site name="{name}" pos="{x} {y} {0.02 - CENTRE}"/>'
-      for name, x, y in (("FR", 0.1, -0.1), ("RR", -0.1, -0.1), ("FL", 0.1, 0.1), ("RL", -0.1, 0.1))
-  )}
+  {"".join(_FOOT.format(name=name, x=x, y=y, z=0.02 - CENTRE) for name, (x, y) in FEET.items())}
 </body></worldbody></mujoco>
 """
 
@@ -38,7 +39,7 @@ def block_scene(tmp_path: Path) -> Scene:
         mjcf=path,
         trunk="trunk",
         joints=(),
-        feet=("FR", "RR", "FL", "RL"),
+        feet=tuple(FEET),
         q0=(),
         kp=0.0,
         kd=0.0,

@@ -15,7 +15,8 @@ DT = 0.005
 
 
 def law(**readings: object) -> DriveLaw:
-    return DriveLaw(DECK, get_readings("default", **readings))
+    """The default law with the jump of sgn(x) in the resistance, but for the given readings."""
+    return DriveLaw(DECK, get_readings("default", **{"coulomb_smoothing": 0.0, **readings}))
 
 
 def run(model: DriveLaw, tilt: tuple[float, float], speeds: tuple[float, float], steps: int, dt: float = DT):
@@ -26,16 +27,22 @@ def run(model: DriveLaw, tilt: tuple[float, float], speeds: tuple[float, float],
     return now[0]
 
 
-def steady(push: float) -> float:
-    """The positive root of 0.2 + 0.05 v + 0.005 v² = push."""
-    roots = np.roots([0.005, 0.05, 0.2 - push])
-    return float(roots[np.isreal(roots) & (roots.real > 0)].real[0])
+def steady(push: float, smoothing: float = 0.0) -> float:
+    """The positive root of s(v) (0.2 + 0.05 v + 0.005 v²) = push, by bisection."""
+    low, high = 0.0, 100.0
+    for _ in range(80):
+        v = (low + high) / 2
+        sign = np.tanh(v / smoothing) if smoothing else 1.0
+        low, high = (v, high) if sign * (0.2 + 0.05 * v + 0.005 * v * v) < push else (low, v)
+    return low
 
 
+@pytest.mark.parametrize("smoothing", [0.0, 0.5])
 @pytest.mark.parametrize("pitch", [0.05, 0.2, -0.2, 0.5])
-def test_steady_speed_balances_drive_and_resistance(pitch):
-    expected = np.sign(pitch) * steady(12.0 * abs(pitch) / 0.78)
-    assert run(law(), (pitch, 0.0), (0.0, 0.0), 1000, dt=0.3)[0] == pytest.approx(expected, rel=1e-6)
+def test_steady_speed_balances_drive_and_resistance(pitch, smoothing):
+    expected = np.sign(pitch) * steady(12.0 * abs(pitch) / 0.78, smoothing)
+    speed = run(law(coulomb_smoothing=smoothing), (pitch, 0.0), (0.0, 0.0), 1000, dt=0.3)[0]
+    assert speed == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("pitch", [0.3, -0.3])
@@ -70,7 +77,7 @@ def test_mirrored_tilts_and_speeds_mirror_the_motion():
 
 def test_resistance_is_odd_by_default_and_even_as_printed():
     x = np.linspace(0.1, 15.0, 40)
-    odd, literal = Readings(), get_readings("literal")
+    odd, literal = Readings(coulomb_smoothing=0.0), get_readings("literal")
     np.testing.assert_allclose(resistance(x, DECK.resistance, odd), 0.2 + 0.05 * x + 0.005 * x * x)
     np.testing.assert_allclose(resistance(-x, DECK.resistance, odd), -resistance(x, DECK.resistance, odd))
     np.testing.assert_allclose(resistance(-x, DECK.resistance, literal), 0.2 - 0.05 * x + 0.005 * x * x)

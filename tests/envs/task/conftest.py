@@ -47,13 +47,13 @@ def _state(**given: object) -> RidingState:
 
 @pytest.fixture
 def make_state() -> StateMaker:
-    """``make_state(field=value, ...)``: one robot standing still, but for the given fields (without batch axis)."""
+    """``make_state(field=value, ...)``: one robot standing still but for those fields (no batch axis)."""
     return _state
 
 
 @pytest.fixture
 def make_context() -> Callable[..., RewardContext]:
-    """``make_context(command=, action=, previous_action=, terminated=, readings=, **state)`` for one robot."""
+    """``make_context(command=, action=, previous_action=, terminated=, readings=, **state)``, one robot."""
 
     def make(
         command: tuple[float, float] = (0.0, 0.0),

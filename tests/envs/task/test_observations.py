@@ -43,15 +43,19 @@ class Ridden:
     def velocity(self, data: mujoco.MjData, body: str, local: bool) -> tuple[np.ndarray, np.ndarray]:
         """Angular and linear velocity of a body's frame."""
         out = np.zeros(6)
-        mujoco.mj_objectVelocity(
-            self.model, data, mujoco.mjtObj.mjOBJ_XBODY, self.model.body(body).id, out, int(local)
-        )
+        mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_XBODY, self.model.body(body).id, out, int(local))
         return out[:3], out[3:]
 
     def part(self, group: str, name: str) -> np.ndarray:
         """A named component of the emitted observation, (N, size)."""
         sizes = (
-            {"acceleration": 3, "angular_velocity": 3, "orientation": 2, "joint_position": 12, "joint_velocity": 12}
+            {
+                "acceleration": 3,
+                "angular_velocity": 3,
+                "orientation": 2,
+                "joint_position": 12,
+                "joint_velocity": 12,
+            }
             if group == "proprio"
             else dict(zip(EXTRINSIC, (4, 3, 3, 3, 2, 1)))
         )

@@ -18,7 +18,8 @@ from torchrl_atr.envs.task.randomization import (
 )
 
 UNIT = 180 / np.pi
-# Table II in physical units (gains as ratios of a nominal 40 / 1, self-balancing gains in N m/deg): train, test, nominal
+# Table II in physical units (gains as ratios of a nominal 40 / 1, self-balancing gains in N m/deg): train,
+# test, nominal
 RANGES = {
     "payload": ((0.0, 1.0), (0.0, 3.0), 0.0),
     "com_shift": ((-0.2, 0.2), (-0.25, 0.25), 0.0),

@@ -62,7 +62,11 @@ SHEET = [
     ),
     ("postural_deviation", {"joint_position": [Q0[0] + 0.3, Q0[1] - 0.4, *Q0[2:]]}, -1e-2 * 0.5),
     # 2 × 1 counts; -3 × 1, 4 × (-1) brake
-    ("energy_efficiency", {"torque": joints(2, -3, 4, -5), "joint_velocity": joints(1, 1, -1, -2)}, -1e-4 * (2 + 10)),
+    (
+        "energy_efficiency",
+        {"torque": joints(2, -3, 4, -5), "joint_velocity": joints(1, 1, -1, -2)},
+        -1e-4 * (2 + 10),
+    ),
     ("force_regulation", {"foot_force": forces(150.0, 100.0, 99.0, 250.0)}, -1e-2 * (50 + 150)),
     ("force_regulation", {"foot_force": [[90.0, 120.0, 0.0], *forces(1, 1, 1)]}, -1e-2 * 50),
     ("collision_avoidance", {"other_force": [0.0, 0.0, 1.5]}, -10.0),

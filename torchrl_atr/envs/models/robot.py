@@ -17,8 +17,8 @@ LEGS = ("FR", "RR", "FL", "RL")
 class RobotSpec:
     """What the task knows of a robot beyond its MJCF file.
 
-    Joints and feet are listed leg by leg in the order of :data:`LEGS`, three joints a leg (abduction, thigh, calf);
-    the MJCF file may order them as it likes, since every address is looked up by name.
+    Joints and feet are listed leg by leg in the order of :data:`LEGS`, three joints a leg (abduction, thigh,
+    calf); the MJCF file may order them as it likes, since every address is looked up by name.
 
     Attributes:
         name: registry name.

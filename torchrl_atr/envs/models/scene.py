@@ -1,4 +1,4 @@
-"""The scene: one robot standing on one transporter, compiled, with the addresses of everything the task reads."""
+"""The scene: one robot on one transporter, compiled, with the addresses of all that the task reads."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ TIMESTEP = 0.005
 DECK_HEIGHT = 0.15
 """Height of the deck's centre above the floor, m: the altitude controller holds it (no vertical joint)."""
 _ARMATURE_RATIO = 200.0
-# The planar joints carry an armature of 200 robot masses: even wild kicks (random actions of standard deviation 1) move
-# the prescribed motion by under 1 mm/s, and the solver, whose tolerance scales with the trace of the inertia matrix,
-# still converges.
+# The planar joints carry an armature of 200 robot masses: even wild kicks (random actions of standard
+# deviation 1) move the prescribed motion by under 1 mm/s, and the solver, whose tolerance scales with the
+# trace of the inertia matrix, still converges.
 PLANAR_JOINTS = ("platform_x", "platform_y", "platform_yaw")
 TILT_JOINTS = ("platform_pitch", "platform_roll")
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Addresses of the scene's parts in ``qpos``, ``qvel``, ``sensordata`` and the model's fields (integer arrays)."""
+    """Addresses of the scene's parts in ``qpos``, ``qvel``, ``sensordata`` and the model's fields."""
 
     root_qpos: int
     root_dof: int
@@ -63,7 +63,8 @@ def build_scene(robot: RobotSpec, transporter: TransporterSpec, readings: Readin
         readings: fixes the unit of the self-balancing gains (A12).
 
     Returns:
-        The compiled scene: robot first, then the deck with planar joints x, y, yaw and tilt joints pitch, roll.
+        The compiled scene: robot first, then the deck with planar joints x, y, yaw and tilt joints pitch,
+            roll.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
@@ -133,13 +134,18 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
     world = spec.worldbody
     world.add_geom(
-        name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05], material="floor", contype=0, conaffinity=0
+        name="floor",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 0.05],
+        material="floor",
+        contype=0,
+        conaffinity=0,
     )
     world.add_light(pos=[0, 0, 4], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
 
 
 def _add_single_board(spec: mujoco.MjSpec, deck: TransporterSpec, readings: Readings, armature: float) -> None:
-    """One deck: planar joints whose motion the drive law prescribes, then the hinges that the rider tilts (Eqs. 4-6)."""
+    """One deck: planar joints that the drive law moves, then hinges that the rider tilts (Eqs. 4-6)."""
     body = spec.worldbody.add_body(name="platform", pos=[0, 0, DECK_HEIGHT])
     body.add_geom(
         name="deck",
@@ -158,7 +164,8 @@ def _add_single_board(spec: mujoco.MjSpec, deck: TransporterSpec, readings: Read
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     for name, kind, axis in zip(PLANAR_JOINTS, (slide, slide, hinge), np.eye(3)):
         body.add_joint(name=name, type=kind, axis=axis, armature=armature)
-    for name, axis, gain in (("platform_pitch", [0, 1, 0], 1), ("platform_roll", [1, 0, 0], 0)):
+    pitch, roll = TILT_JOINTS  # about y and x; the deck's gains are listed roll first
+    for name, axis, gain in ((pitch, np.eye(3)[1], 1), (roll, np.eye(3)[0], 0)):
         joint = body.add_joint(name=name, type=hinge, axis=axis)
         joint.stiffness = [deck.sb_stiffness[gain] * readings.sb_unit, 0, 0]
         joint.damping = [deck.sb_damping[gain] * readings.sb_unit, 0, 0]
@@ -166,8 +173,12 @@ def _add_single_board(spec: mujoco.MjSpec, deck: TransporterSpec, readings: Read
 
 
 def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
-    """Foot forces and positions, the total contact force on the deck, the robot's centre of mass: one array to read."""
-    force, netforce, one = 1 << 1, 3, 1  # what, how reduced, how many: a world-frame sum, zero without contact
+    """Foot forces and positions, the contact force on the deck, the robot's centre of mass: one array."""
+    force, netforce, one = (
+        1 << 1,
+        3,
+        1,
+    )  # what, how reduced, how many: a world-frame sum, zero without contact
 
     def add_force(name: str, objtype: mujoco.mjtObj, objname: str) -> None:
         spec.add_sensor(
@@ -191,7 +202,10 @@ def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
             objname=foot,
         )
     spec.add_sensor(
-        name="com", type=mujoco.mjtSensor.mjSENS_SUBTREECOM, objtype=mujoco.mjtObj.mjOBJ_BODY, objname=robot.trunk
+        name="com",
+        type=mujoco.mjtSensor.mjSENS_SUBTREECOM,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        objname=robot.trunk,
     )
 
 
@@ -236,9 +250,7 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec) -> Layout:
     )
 
 
-def _standing_qpos(
-    model: mujoco.MjModel, layout: Layout, robot: RobotSpec, transporter: TransporterSpec
-) -> np.ndarray:
+def _standing_qpos(model: mujoco.MjModel, layout: Layout, robot: RobotSpec, transporter: TransporterSpec) -> np.ndarray:
     """q0 with the feet level on the deck and the robot's centre of mass over the pivot."""
     data = mujoco.MjData(model)
     root = layout.root_qpos

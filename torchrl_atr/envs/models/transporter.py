@@ -20,7 +20,8 @@ class TransporterSpec:
         max_yaw_acceleration: αmax, rad/s² at a roll of ``tilt_norm``.
         tilt_norm: θnp, rad.
         resistance: the coefficients (c0, c1, c2) of R(x) = c0 + c1 x + c2 x².
-        sb_stiffness: nominal self-balancing stiffness (roll, pitch) as printed in Table II (its unit is reading A12).
+        sb_stiffness: nominal self-balancing stiffness (roll, pitch) as printed in Table II (its unit is
+            reading A12).
         sb_damping: nominal self-balancing damping (roll, pitch) as printed in Table II.
     """
 

@@ -1,7 +1,8 @@
-"""The batched engine: N robots on ``mujoco.batch``, each with its own parameters, on all CPUs of the process."""
+"""The batched engine: N robots on ``mujoco.batch``, each with its own parameters, on all CPUs."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 import mujoco
@@ -24,11 +25,16 @@ class BatchEngine(Engine):
         num_envs: N.
         readings: the paper's open points.
         num_threads: physics threads; None for the CPUs this process may use.
+
+    Raises:
+        ValueError: if ``num_threads`` is below one.
     """
 
     def __init__(self, scene: Scene, num_envs: int, readings: Readings, num_threads: int | None = None) -> None:
         super().__init__(scene, num_envs, readings)
-        threads = num_threads or len(os.sched_getaffinity(0))
+        threads = len(os.sched_getaffinity(0)) if num_threads is None else num_threads
+        if threads < 1:
+            raise ValueError(f"num_threads={num_threads}: choose 1 or more, or None for the CPUs this process may use")
         self.batch = mujoco.batch.Batch(scene.model, num_envs, nthread=threads)
         bind, expand = self.batch.bind, self.batch.expand
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
@@ -38,10 +44,9 @@ class BatchEngine(Engine):
         self.fields = {name: expand(name) for name in RANDOMIZED_FIELDS}
 
     def _substep(self, last: bool) -> None:
-        try:
+        # a simulation that fails keeps its state and time, which marks it as diverged, while the others go on
+        with contextlib.suppress(mujoco.batch.SimulationError):
             self.batch.step(nstep=1, stage=_FRESH if last else _STATE)
-        except mujoco.batch.SimulationError:
-            pass  # the failed ones kept their state and time, which marks them as diverged; the others went on
 
     def _warnings(self) -> NDArray[np.int64]:
         return self.batch.warning[:, :, 1]

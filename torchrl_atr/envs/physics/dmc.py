@@ -1,4 +1,4 @@
-"""The dm_control engine: one robot on a ``dm_control.mujoco.Physics``, for reference, rendering and dm_control users."""
+"""The dm_control engine: one robot on a ``dm_control.mujoco.Physics``, the reference for the batched one."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from torchrl_atr.envs.profiles import Readings
 class RidingPhysics(Physics):
     """A dm_control ``Physics`` whose every step obeys the drive law, whoever calls it.
 
-    A simulation that diverges does not raise ``PhysicsError``: MuJoCo resets it, ``engine.diverged`` says so, and the
+    A simulation that diverges does not raise ``PhysicsError``: MuJoCo resets it, ``engine.diverged`` says so,
+        and the
     task ends the episode. Made by :class:`DmControlEngine`; a ``copy()`` renders but does not step.
 
     Attributes:
@@ -29,13 +30,15 @@ class RidingPhysics(Physics):
     engine: DmControlEngine | None = None
 
     def step(self, nstep: int = 1) -> None:
-        """Advances by ``nstep`` substeps of the law, the planar force and MuJoCo, and computes what depends on the state.
+        """Advances by ``nstep`` substeps, each of law, planar force and MuJoCo.
 
         Raises:
             RuntimeError: if no engine drives this physics.
         """
         if self.engine is None:
-            raise RuntimeError("this RidingPhysics has no drive law to step with; take the physics of a DmControlEngine")
+            raise RuntimeError(
+                "this RidingPhysics has no drive law to step with; take the physics of a DmControlEngine"
+            )
         self.engine.advance(nstep)
 
     def after_reset(self) -> None:

@@ -1,4 +1,4 @@
-"""The engine's interface and everything the two engines share: the control step, the prescribed motion, recentring."""
+"""What the two engines share: the control step, the prescribed motion, recentring, parameters, state."""
 
 from __future__ import annotations
 
@@ -64,21 +64,24 @@ class PhysicalParameters:
 class Engine(ABC):
     """N simulations of one scene, advanced by control steps.
 
-    Subclasses provide the arrays below, each with a leading axis of N, and :meth:`_substep`; this class evaluates the
-    drive law before every substep and turns its planar speeds into the force that produces them in that substep. Writing
-    velocities instead would hide the deck's acceleration from the contact solver and let the feet slip.
+    Subclasses provide the arrays below, each with a leading axis of N, and :meth:`_substep`; this class
+    evaluates the drive law before every substep and turns its planar speeds into the force that produces them
+    in that substep. Writing velocities instead would hide the deck's acceleration from the contact solver and
+    let the feet slip.
 
     Attributes:
         qpos, qvel, ctrl, qfrc_applied: live state, (N, nq | nv | nu | nv), float64.
         time: live simulation time, s, (N,); MuJoCo starts it anew when it resets a diverged simulation.
-        warmstart: the solver's warm start, live, (N, nv): part of the state that bit-identical continuation needs.
-        sensordata: sensor readings, (N, nsensordata), current after a control step; contact forces are those of its last
-            substep.
+        warmstart: the solver's warm start, live, (N, nv): part of the state that bit-identical continuation
+            needs.
+        sensordata: sensor readings, (N, nsensordata), current after a control step; contact forces are those
+            of its last substep.
         actuator_force: joint torques of the last substep in MJCF actuator order, N m, (N, nu).
         speeds: the law's own state (v_f, ω_z), (N, 2).
         odometer: deck position in the world, m, (N, 2), since recentring keeps ``qpos`` near the origin.
         diverged: simulations that MuJoCo reset or refused to step during the last :meth:`advance`, (N,) bool.
-        fields: live per-simulation values of the :data:`RANDOMIZED_FIELDS` of the compiled model, (N, ...) each.
+        fields: live per-simulation values of the :data:`RANDOMIZED_FIELDS` of the compiled model, (N, ...)
+            each.
     """
 
     scene: Scene
@@ -119,7 +122,7 @@ class Engine(ABC):
 
     @abstractmethod
     def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
-        """Resets ``rows`` to the given state with ctrl = q0 and computes all derived quantities, forces included."""
+        """Resets ``rows`` to the given state with ctrl = q0 and computes all that follows from it."""
 
     @abstractmethod
     def forward(self) -> None:
@@ -146,12 +149,12 @@ class Engine(ABC):
             self.prescribe()
             self._substep(last=substep == substeps - 1)
         # MuJoCo's own reset also zeroes the counts: a second divergence in a row shows in the time alone
-        self.diverged = (self._warnings()[:, _DIVERGED] > warned).any(axis=1)
-        self.diverged |= np.abs(self.time - expected) > 0.5 * TIMESTEP
+        warned_anew = (self._warnings()[:, _DIVERGED] > warned).any(axis=1)
+        self.diverged = np.asarray(warned_anew | (np.abs(self.time - expected) > 0.5 * TIMESTEP))
         self.speeds[self.diverged] = 0.0
 
     def prescribe(self) -> None:
-        """Evaluates the law at the current tilt and applies the force that realises it within the coming substep."""
+        """Evaluates the law at the current tilt and applies the force that realises it in one substep."""
         layout, dt = self.scene.layout, TIMESTEP
         self.speeds = self.law(self.speeds, self.qpos[:, layout.tilt_qpos], self._scale, dt)
         speed, yaw_rate = self.speeds[:, 0], self.speeds[:, 1]
@@ -178,7 +181,7 @@ class Engine(ABC):
         self._restart(rows, qpos, qvel)
 
     def _write_parameters(self, rows: NDArray[np.int64], parameters: PhysicalParameters) -> None:
-        """Writes Table II's parameters into the compiled fields of ``rows``, always starting from the nominal model."""
+        """Writes Table II's parameters into the fields of ``rows``, starting from the nominal model."""
         model, layout, fields = self.scene.model, self.scene.layout, self.fields
         trunk, deck = layout.trunk_body, layout.deck_body
         trunk_mass = model.body_mass[trunk] + parameters.payload
@@ -186,14 +189,14 @@ class Engine(ABC):
             fields["body_mass"][rows, body] = mass
             fields["body_inertia"][rows, body] = model.body_inertia[body] * (mass / model.body_mass[body])[:, None]
         fields["body_ipos"][rows, trunk] = model.body_ipos[trunk] + parameters.com_shift
-        cells = np.ix_(rows, layout.actuators)
-        fields["actuator_gainprm"][(*cells, 0)] = parameters.kp
-        fields["actuator_biasprm"][(*cells, 1)] = -parameters.kp
-        fields["actuator_biasprm"][(*cells, 2)] = -parameters.kd
+        each = rows[:, None]
+        fields["actuator_gainprm"][each, layout.actuators, 0] = parameters.kp
+        fields["actuator_biasprm"][each, layout.actuators, 1] = -parameters.kp
+        fields["actuator_biasprm"][each, layout.actuators, 2] = -parameters.kd
         fields["geom_friction"][rows, layout.deck_geom, 0] = parameters.friction
         # the scene lists pitch before roll, Table II roll before pitch
-        fields["jnt_stiffness"][np.ix_(rows, layout.tilt_joints)] = parameters.sb_stiffness[:, ::-1]
-        fields["dof_damping"][np.ix_(rows, layout.tilt_dof)] = parameters.sb_damping[:, ::-1]
+        fields["jnt_stiffness"][each, layout.tilt_joints] = parameters.sb_stiffness[:, ::-1]
+        fields["dof_damping"][each, layout.tilt_dof] = parameters.sb_damping[:, ::-1]
 
     def _refresh_deck(self, rows: NDArray[np.int64], mass: Array) -> None:
         deck, armature = self.scene.transporter, self.scene.model.dof_armature[self.scene.layout.planar_dof]
@@ -203,7 +206,7 @@ class Engine(ABC):
         self._planar_inertia[rows] = armature + inertia
 
     def _recentre(self) -> None:
-        """Moves deck and robot back to the origin together: physics is translation invariant, floats are not."""
+        """Moves deck and robot back to the origin: physics is translation invariant, floats are not."""
         layout = self.scene.layout
         planar = layout.planar_qpos[:2]
         offset = self.qpos[:, planar].copy()

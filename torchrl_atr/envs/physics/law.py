@@ -1,4 +1,4 @@
-"""The drive law: how the deck's tilt drives the transporter (Eqs. 1-3 and 7-10). Pure functions over NumPy arrays."""
+"""The drive law: how the deck's tilt drives the transporter (Eqs. 1-3 and 7-10), over NumPy arrays."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def resistance(x: Array, coefficients: tuple[float, float, float], readings: Rea
         R(x), same shape as ``x``; to be subtracted from the drive.
 
     Example:
-        >>> float(resistance(np.array(-1.0), (0.2, 0.05, 0.005), Readings()).round(3))
+        >>> float(resistance(np.array(-1.0), (0.2, 0.05, 0.005), Readings(coulomb_smoothing=0.0)).round(3))
         -0.255
     """
     c0, c1, c2 = coefficients
@@ -57,7 +57,8 @@ def drive(forward_tilt: Array, steering_tilt: Array, deck: TransporterSpec, read
         readings: ``steering_smoothing`` (A11).
 
     Returns:
-        Forward drive v̇max clip(θ_y/θnp) and yaw drive αmax sgn(θ_y) clip(-θ_x/θnp), with sgn(0) = 1 as the paper says.
+        Forward drive v̇max clip(θ_y/θnp) and yaw drive αmax sgn(θ_y) clip(-θ_x/θnp), with sgn(0) = 1 as the
+        paper says.
     """
     smoothing = readings.steering_smoothing
     sign = np.tanh(forward_tilt / smoothing) if smoothing else np.where(forward_tilt < 0.0, -1.0, 1.0)
@@ -67,7 +68,12 @@ def drive(forward_tilt: Array, steering_tilt: Array, deck: TransporterSpec, read
 
 
 def advance(
-    x: Array, push: Array, coefficients: tuple[float, float, float], scale: Array, dt: float, readings: Readings
+    x: Array,
+    push: Array,
+    coefficients: tuple[float, float, float],
+    scale: Array,
+    dt: float,
+    readings: Readings,
 ) -> Array:
     """Speed after ``dt`` under ẋ = scale (push - R(x)).
 
@@ -99,7 +105,7 @@ class DriveLaw:
 
     Example:
         >>> from torchrl_atr.envs.models import TRANSPORTERS
-        >>> law = DriveLaw(TRANSPORTERS.get("single_board"), Readings())
+        >>> law = DriveLaw(TRANSPORTERS.get("single_board"), Readings(coulomb_smoothing=0.0))
         >>> speed = law(np.zeros((1, 2)), np.array([[0.78, 0.0]]), np.ones((1, 2)), dt=0.005)
         >>> bool(np.allclose(speed, [[0.005 * (12 - 0.2), 0.0]]))
         True

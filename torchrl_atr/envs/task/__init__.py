@@ -1,1 +1,1 @@
-"""What is asked: state, observations, rewards, terminations, randomisation and disturbances as pure functions."""
+"""What is asked: state, observations, rewards, terminations, randomisation, disturbances."""

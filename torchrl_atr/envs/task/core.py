@@ -1,4 +1,4 @@
-"""``RidingTask``: the task over an engine, without a word of TorchRL or dm_control; both front ends drive this one."""
+"""``RidingTask``: the task over an engine, without TorchRL or dm_control; both front ends drive it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from torch import Tensor
 
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.task import disturbances, observations, randomization as intrinsics, rewards
+from torchrl_atr.envs.task import disturbances, observations, rewards
+from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task.state import CONTROL_DT, RidingState, Rows, StateReader
 from torchrl_atr.envs.task.terminations import fallen
 
@@ -81,7 +82,7 @@ class RidingTask:
         self.begin(np.arange(n))
 
     def begin(self, rows: NDArray[np.int64]) -> None:
-        """Starts episodes of ``rows`` with fresh intrinsics and initial states; the others are left as they are."""
+        """Starts episodes of ``rows`` with fresh intrinsics and initial states; leaves the others alone."""
         x_int = intrinsics.sample_intrinsics(len(rows), self.joints, self.randomization, self.rng)
         qpos, qvel = disturbances.initial_state(self.scene, len(rows), self.rng)
         self.engine.reset(rows, qpos, qvel, intrinsics.physical_parameters(x_int, self.scene, self.readings))
@@ -158,7 +159,6 @@ class RidingTask:
         return {
             "proprio": proprio,
             "command": command.clone(),
-            "speeds": state.speeds,
             "speeds": state.speeds,
             "observation": torch.cat([proprio, command], -1),
             ("privileged", "intrinsic"): self.x_int[rows],

@@ -59,7 +59,7 @@ INTRINSICS: dict[str, IntrinsicParameter] = {
     "sb_stiffness": IntrinsicParameter(2, (0.8 / 1.15, 1.5 / 1.15), (0.5 / 1.15, 2.0 / 1.15), 1.0, ratio=True),
     "sb_damping": IntrinsicParameter(2, (0.8, 1.2), (0.4, 2.0), 1.0, ratio=True),
 }
-"""x_int by name in Table II's order; the self-balancing gains 0.8-1.5 and 0.02-0.03 are ratios of their midpoints."""
+"""x_int by name in Table II's order; the self-balancing gains are ratios of their ranges' midpoints."""
 
 
 def intrinsic_slices(joints: int) -> dict[str, slice]:

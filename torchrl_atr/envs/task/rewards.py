@@ -1,6 +1,7 @@
 """Table III: eighteen named reward terms with the paper's weights, each a function of the riding state.
 
-Adding a term is one :func:`reward_term` entry; the env's specs, logs and tests follow from :data:`REWARD_TERMS`.
+Adding a term is one :func:`reward_term` entry; the env's specs, logs and tests follow from
+:data:`REWARD_TERMS`.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class RewardContext:
 
 Term = Callable[[RewardContext], Tensor]
 REWARD_TERMS: dict[str, Term] = {}
-"""r0 ... r17 by name, in the paper's order: functions of a :class:`RewardContext` to (N,), weights included."""
+"""r0 ... r17 by name, in the paper's order: from a :class:`RewardContext` to (N,), weights included."""
 
 
 def reward_term(name: str) -> Callable[[Term], Term]:
@@ -69,7 +70,7 @@ def reward_term(name: str) -> Callable[[Term], Term]:
 
 
 MAX_TRACKING = {"forward_command": 8.0, "steering_command": 8.0}
-"""k0 and k1: what the two tracking terms reach at perfect tracking; the curriculum's thresholds are fractions of it."""
+"""k0 and k1: the two terms at perfect tracking; the curriculum's thresholds are fractions of them."""
 
 
 @reward_term("forward_command")
@@ -125,9 +126,9 @@ def height_maintenance(c: RewardContext) -> Tensor:
 def transporter_smoothness(c: RewardContext) -> Tensor:
     """r8 = -k8 (‖v̇_P‖ + ‖α_P‖), differences over the control step (A32).
 
-    The text wants abrupt transporter accelerations "slightly" penalised for their inertia effects: by default α_P is the
-    driven, yaw component. With roll and pitch in it the term is -9 a second at an action noise of 0.2, against +16 for
-    perfect tracking, and robots learn to end their episodes.
+    The text wants abrupt transporter accelerations "slightly" penalised for their inertia effects: by default
+    α_P is the driven, yaw component. With roll and pitch in it the term is -9 a second at an action noise of
+    0.2, against +16 for perfect tracking, and robots learn to end their episodes.
     """
     angular = c.state.platform_angular_acceleration
     turning = angular[:, 2].abs() if c.readings.planar_smoothness else angular.norm(dim=-1)
@@ -214,7 +215,9 @@ def zero_moment_point(state: RidingState) -> Tensor:
     return state.com[:, :2] - (height / vertical).unsqueeze(-1) * state.acceleration[:, :2]
 
 
-def compute_rewards(context: RewardContext, *, scale: float, clip_to_positive: bool) -> tuple[Tensor, dict[str, Tensor]]:
+def compute_rewards(
+    context: RewardContext, *, scale: float, clip_to_positive: bool
+) -> tuple[Tensor, dict[str, Tensor]]:
     """All terms and their sum.
 
     Args:

@@ -11,7 +11,12 @@ from torch import Tensor
 
 from torchrl_atr.envs.models.scene import DECK_HEIGHT, TIMESTEP, Scene
 from torchrl_atr.envs.physics.engine import DECIMATION, Engine
-from torchrl_atr.envs.task.rotations import euler_from_matrix, matrix_from_euler, matrix_from_quaternion, rotate
+from torchrl_atr.envs.task.rotations import (
+    euler_from_matrix,
+    matrix_from_euler,
+    matrix_from_quaternion,
+    rotate,
+)
 
 CONTROL_DT = TIMESTEP * DECIMATION
 """Control period, s (50 Hz)."""
@@ -26,7 +31,8 @@ Rows = NDArray[np.int64] | slice
 class RidingState:
     """One batch of N robots after a control step, float32, world frame unless the name says otherwise.
 
-    Accelerations are differences over the control step (A32): what a low-passed IMU reports, free of solver spikes.
+    Accelerations are differences over the control step (A32): what a low-passed IMU reports, free of solver
+    spikes.
 
     Attributes:
         position, velocity, acceleration: of the body B's frame origin, (N, 3).
@@ -88,7 +94,7 @@ class Velocities:
 
 
 class StateReader:
-    """Reads a :class:`RidingState` out of an engine: one cast per array, and differences to the previous reading.
+    """Reads a :class:`RidingState` out of an engine, with differences to the previous reading.
 
     Args:
         engine: either engine.
@@ -103,7 +109,7 @@ class StateReader:
         self._previous = self._velocities(slice(None))
 
     def forget(self, rows: Rows = slice(None)) -> None:
-        """Starts the differences of ``rows`` anew from the present state (after a reset or a restored state)."""
+        """Starts the differences of ``rows`` anew from the present state (after a reset or the like)."""
         for name, value in vars(self._velocities(rows)).items():
             getattr(self._previous, name)[rows] = value
 
@@ -124,9 +130,7 @@ class StateReader:
         qpos, qvel = _float(engine.qpos[rows]), _float(engine.qvel[rows])
         sensors = _float(engine.sensordata[rows])
         now = self._velocities(rows)
-        rates = {
-            name: (value - getattr(self._previous, name)[rows]) / CONTROL_DT for name, value in vars(now).items()
-        }
+        rates = {name: (value - getattr(self._previous, name)[rows]) / CONTROL_DT for name, value in vars(now).items()}
         for name, value in vars(now).items():
             getattr(self._previous, name)[rows] = value
         root, planar = layout.root_qpos, int(layout.planar_qpos[0])
@@ -167,7 +171,7 @@ def _float(array: NDArray[np.float64]) -> Tensor:
 
 
 def _hinge_rates(qpos: Tensor, qvel: Tensor, scene: Scene) -> Tensor:
-    """World angular velocity of the deck from its hinge rates: yaw about z, then pitch about y, then roll about x."""
+    """World angular velocity of the deck from its hinge rates: yaw, then pitch, then roll."""
     layout = scene.layout
     yaw, pitch = qpos[:, int(layout.planar_qpos[2])], qpos[:, int(layout.tilt_qpos[0])]
     pitch_rate, roll_rate = (qvel[:, int(i)] for i in layout.tilt_dof)

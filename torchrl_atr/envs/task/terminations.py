@@ -1,4 +1,4 @@
-"""When an episode ends early (reading A34): the robot risks flipping, or falling off or onto the transporter."""
+"""When an episode ends early (A34): the robot risks flipping, or falling off or onto the transporter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def fallen(state: RidingState, scene: Scene, readings: Readings) -> Tensor:
         readings: ``tilt_limit``.
 
     Returns:
-        (N,) bool: body roll or pitch beyond the limit, body centre beyond the deck, or body too low over the deck's top.
+        (N,) bool: body roll or pitch beyond the limit, body centre beyond the deck, or body too low over the
+        deck's top.
     """
     length, width, thickness = scene.transporter.size
     tilted = (state.euler[:, :2].abs() > readings.tilt_limit).any(-1)

@@ -3,6 +3,7 @@
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.history import ObservationHistory
+from torchrl_atr.envs.transforms.runaway import RunawayTermination
 from torchrl_atr.envs.transforms.stack import riding_transforms
 
-__all__ = ["CommandCurriculum", "CommandGrid", "ObservationHistory", "riding_transforms"]
+__all__ = ["CommandCurriculum", "CommandGrid", "ObservationHistory", "RunawayTermination", "riding_transforms"]

@@ -9,10 +9,16 @@ from torchrl.envs.transforms import CatTensors, Compose, RewardSum, StepCounter
 
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.history import ObservationHistory
+from torchrl_atr.envs.transforms.runaway import RunawayTermination
 
 
 def riding_transforms(
-    tracking_max: Sequence[float], *, history_length: int = 10, max_steps: int = 1000, **curriculum: Any
+    tracking_max: Sequence[float],
+    *,
+    history_length: int = 10,
+    max_steps: int = 1000,
+    runaway_margin: tuple[float, float] | None = None,
+    **curriculum: Any,
 ) -> Compose:
     """Command, observation, history, time limit and episode reward, in the order that makes them agree.
 
@@ -25,6 +31,7 @@ def riding_transforms(
         tracking_max: See :class:`CommandCurriculum`.
         history_length: H, past observations in ``history``.
         max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
+        runaway_margin: If given, of a :class:`RunawayTermination` behind the curriculum, m/s and rad/s.
         **curriculum: Further arguments of :class:`CommandCurriculum`, such as ``window``, ``grid`` or
             ``seed``.
 
@@ -36,8 +43,10 @@ def riding_transforms(
         ['CommandCurriculum', 'CatTensors', 'ObservationHistory', 'StepCounter', 'RewardSum']
     """
     command = CommandCurriculum(tracking_max, **curriculum)
+    guards = [] if runaway_margin is None else [RunawayTermination(command, runaway_margin)]
     return Compose(
         command,
+        *guards,
         CatTensors(["proprio", command.command_key], "observation", sort=False, del_keys=False),
         ObservationHistory(history_length),
         StepCounter(max_steps),

@@ -1,0 +1,149 @@
+"""``suite.load``: an ordinary dm_control environment over the same task."""
+
+from __future__ import annotations
+
+import dm_env
+import numpy as np
+import pytest
+import torch
+from dm_control.rl import control
+from torchrl.envs import DMControlWrapper
+from torchrl.envs.utils import check_env_specs
+
+from torchrl_atr.envs import suite
+from torchrl_atr.envs.riding import RidingEnv
+
+
+def test_it_is_an_ordinary_dm_control_environment():
+    environment = suite.load("a1", "single_board", random=0)
+    assert isinstance(environment, control.Environment)
+    first = environment.reset()
+    assert first.first()
+    assert environment.control_timestep() == pytest.approx(0.02)
+    spec = environment.action_spec()
+    spec.validate(np.zeros(spec.shape))
+    for _ in range(3):
+        step = environment.step(np.zeros(spec.shape))
+        assert step.step_type == dm_env.StepType.MID
+        assert np.isfinite(step.reward)
+    for name, array_spec in environment.observation_spec().items():
+        array_spec.validate(step.observation[name])
+
+
+def test_observations_are_flat_and_none_is_called_state():
+    observation = suite.load(random=0).reset().observation
+    sizes = {name: value.shape for name, value in observation.items()}
+    expected = {
+        "proprio": 44,
+        "command": 2,
+        "observation": 46,
+        "privileged_intrinsic": 34,
+        "privileged_extrinsic": 16,
+    }
+    for name, size in expected.items():
+        assert sizes[name] == (size,)
+    assert "state" not in sizes
+    assert all(isinstance(name, str) for name in sizes)
+
+
+def test_torchrls_own_wrapper_takes_it():
+    env = DMControlWrapper(suite.load("a1", "single_board", random=0))
+    check_env_specs(env)
+    assert env.rollout(3)["next", "privileged_intrinsic"].shape == (3, 34)
+
+
+def test_action_bounds_are_where_the_joints_targets_end():
+    environment = suite.load(random=0)
+    scene, spec = environment.task.core.scene, environment.action_spec()
+    for bound, column in ((spec.minimum, 0), (spec.maximum, 1)):
+        target = np.array(scene.robot.q0) + scene.robot.action_scale * bound
+        limits = [scene.model.joint(joint).range[column] for joint in scene.robot.joints]
+        np.testing.assert_allclose(target, limits)
+
+
+def test_it_is_the_task_that_riding_env_asks():
+    environment = suite.load(random=0, pushes=False)
+    environment.task.command = (0.7, -0.2)
+    first = environment.reset()
+    env = RidingEnv(num_envs=1, seed=3, num_threads=1, pushes=False)
+    task = environment.task.core
+    state = {**task.get_state(), "command": torch.tensor([[0.7, -0.2]])}
+    env.set_state(type(env.get_state())(state, batch_size=[1]))
+    np.testing.assert_allclose(first.observation["observation"], env._emitted["observation"][0], atol=1e-6)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        action = 0.3 * rng.standard_normal(12).astype(np.float32)
+        theirs = environment.step(action)
+        td = env.fake_tensordict().set("action", torch.from_numpy(action)[None])
+        ours = env.step(td.set("command", torch.tensor([[0.7, -0.2]])))["next"]
+        for name, value in theirs.observation.items():
+            key = tuple(name.split("_")) if name.startswith("privileged") else name
+            np.testing.assert_allclose(value, ours[key][0], atol=1e-5, err_msg=name)
+        assert theirs.reward == pytest.approx(ours["reward"].item(), abs=1e-5)
+        for name, value in environment.task.reward_terms.items():
+            assert value == pytest.approx(ours["reward_terms", name].item(), abs=1e-5)
+    np.testing.assert_allclose(task.engine.qpos, env.engine.qpos, atol=1e-9)
+
+
+def test_seeds_fix_the_episodes_and_episodes_differ():
+    def intrinsics(seed: int) -> list[np.ndarray]:
+        environment = suite.load(random=seed)
+        return [environment.reset().observation["privileged_intrinsic"] for _ in range(2)]
+
+    one, again, other = intrinsics(1), intrinsics(1), intrinsics(2)
+    np.testing.assert_array_equal(one, again)
+    assert (one[0] != one[1]).any()
+    assert (one[0] != other[0]).any()
+
+
+def test_a_fall_has_discount_zero_and_the_time_limit_one():
+    environment = suite.load(random=0, time_limit=0.06)
+    environment.reset()
+    steps = [environment.step(np.zeros(12)) for _ in range(3)]
+    assert [step.last() for step in steps] == [False, False, True]
+    assert steps[-1].discount == 1.0
+    assert environment.step(np.zeros(12)).first()
+    environment.physics.data.qpos[environment.task.core.scene.layout.root_qpos] += 1.0
+    fallen = environment.step(np.zeros(12))
+    assert fallen.last()
+    assert fallen.discount == 0.0
+
+
+@pytest.mark.parametrize("value", [1e13, np.nan])
+def test_divergence_ends_the_episode_instead_of_the_program(value):
+    environment = suite.load(random=0)
+    for _ in range(2):
+        environment.reset()
+        environment.physics.data.qvel[8] = value
+        step = environment.step(np.zeros(12))
+        assert step.last()
+        assert step.discount == 0.0
+        assert np.isfinite(step.reward)
+        assert all(np.isfinite(array).all() for array in step.observation.values())
+
+
+def test_the_command_is_set_on_the_task():
+    environment = suite.load(random=0)
+    np.testing.assert_array_equal(environment.reset().observation["command"], [0.0, 0.0])
+    environment.task.command = (1.0, 0.5)
+    np.testing.assert_array_equal(environment.step(np.zeros(12)).observation["command"], [1.0, 0.5])
+    np.testing.assert_array_equal(environment.reset().observation["command"], [1.0, 0.5])
+
+
+@pytest.mark.parametrize("command", [(1.0,), (1.0, 2.0, 3.0), (np.nan, 0.0)])
+def test_an_impossible_command_is_refused(command):
+    with pytest.raises(ValueError, match="give 2 finite numbers"):
+        suite.load(random=0).task.command = command
+
+
+def test_bad_input_is_named():
+    with pytest.raises(ValueError, match="unknown robot 'dog'; known: a1"):
+        suite.load("dog")
+    with pytest.raises(ValueError, match="unknown randomization 'no'"):
+        suite.load(randomization="no")
+    environment = suite.load(random=0)
+    environment.reset()
+    with pytest.raises(ValueError, match="'action' is not finite"):
+        environment.step(np.full(12, np.nan))
+    with pytest.raises(ValueError, match=r"'action' has shape \(1, 11\)"):
+        environment.step(np.zeros(11))

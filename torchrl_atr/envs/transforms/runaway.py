@@ -1,0 +1,62 @@
+"""Ends the episodes of transporters that ran away: training time goes to speeds that commands ask for."""
+
+from __future__ import annotations
+
+from typing import NoReturn
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torchrl.envs.transforms import Transform
+
+from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
+
+
+class RunawayTermination(Transform):
+    """Terminates rows whose transporter is faster than any command that the curriculum can draw, plus a margin.
+
+    The tracking rewards exp(-|e| / 0.5) have no slope at an error of some metres per second: a board that ran away
+    gives no hint of how to stop it, and an untrained rider lets it run away within a second. Ending such episodes
+    keeps rollouts where there is something to learn; as the curriculum grows, so does what is allowed. It is for
+    training, not part of the task: evaluation does without it.
+
+    Args:
+        curriculum: whose frontier bounds the commands.
+        margin: added to the largest ``|c_v|``, m/s, and ``|c_ω|``, rad/s.
+        speeds_key: forward speed and yaw rate, ``(*B, 2)``.
+
+    Raises:
+        ValueError: if a margin is not positive.
+
+    Example:
+        >>> RunawayTermination(CommandCurriculum((0.2, 0.2), seed=0)).margin
+        (2.0, 2.0)
+    """
+
+    def __init__(
+        self,
+        curriculum: CommandCurriculum,
+        margin: tuple[float, float] = (2.0, 2.0),
+        speeds_key: NestedKey = "speeds",
+    ) -> None:
+        super().__init__(in_keys=[speeds_key], out_keys=[])
+        if not all(value > 0 for value in margin):
+            raise ValueError(f"margin must be two positive numbers (m/s, rad/s), got {margin}")
+        self.margin = (float(margin[0]), float(margin[1]))
+        self._curriculum = [curriculum]  # in a list: a part of the stack, not a submodule of this transform
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        speeds = next_tensordict.get(self.in_keys[0])
+        limit = torch.tensor(self._curriculum[0].frontier) + torch.tensor(self.margin)
+        away = (speeds.abs() > limit.to(speeds)).any(-1, keepdim=True)
+        for key in ("terminated", "done"):
+            next_tensordict.set(key, next_tensordict.get(key) | away)
+        return next_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset
+
+    def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
+        raise NotImplementedError("RunawayTermination only works on the step of an environment")
+
+    forward = _call
