@@ -113,7 +113,9 @@ def evaluate(arguments: argparse.Namespace) -> None:
     env.close()
     result = evaluate_tracking(
         networks.deployed_policy(),
-        partial(make_env, config, randomization=arguments.randomization, pushes=False, runaway_margin=None),
+        partial(
+            make_env, config, randomization=arguments.randomization, moving_start=0.0, pushes=False, runaway_margin=None
+        ),
         command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
         robots_per_command=arguments.robots_per_command,
         seed=arguments.seed,
@@ -132,7 +134,9 @@ def play(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import play_viewer, record_video
     from torchrl_atr.training import load_run
 
-    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, pushes=False, runaway_margin=None)
+    _, env, networks, _ = load_run(
+        arguments.run, num_envs=1, seed=arguments.seed, moving_start=0.0, pushes=False, runaway_margin=None
+    )
     policy = networks.deployed_policy()
     if arguments.video is None:
         play_viewer(policy, env)

@@ -327,3 +327,20 @@ def test_the_task_runs_without_torchrl():
     outcome = env.task.judge(torch.zeros(2, 2))
     assert outcome.reward.shape == (2, 1)
     assert outcome.terminated.shape == (2,)
+
+
+def test_moving_starts_share_the_commanded_speeds_with_robot_and_board():
+    env = RidingEnv(num_envs=64, num_threads=1, moving_start=1.0, seed=0)
+    command = torch.tensor([[1.5, -0.8]]).expand(64, 2).clone()
+    td = env.reset(TensorDict({"command": command}, [64]))
+    speeds = td["speeds"]
+    assert bool((speeds[:, 0] >= 0).all() & (speeds[:, 0] <= 1.5).all())
+    assert bool((speeds[:, 1] <= 0).all() & (speeds[:, 1] >= -0.8).all())
+    assert speeds.std(0).min() > 0.1
+    # body and platform move as one: same velocity at the pivot, same yaw rate
+    extrinsic = td["privileged", "extrinsic"]
+    body, platform, turning = extrinsic[:, 4:7], extrinsic[:, 7:10], extrinsic[:, 10:13]
+    assert torch.allclose(turning[:, 2], speeds[:, 1], atol=2e-2)
+    assert (body - platform).norm(dim=-1).max() < 0.8 * 0.02
+    at_rest = RidingEnv(num_envs=4, num_threads=1, seed=0).reset(TensorDict({"command": command[:4]}, [4]))
+    assert torch.equal(at_rest["speeds"], torch.zeros(4, 2))

@@ -38,9 +38,7 @@ def test_doing_nothing_scores_the_commands_themselves(evaluate):
 
 
 def test_do_nothing_on_the_default_grid(evaluate):
-    still = tracking_metrics(evaluate(lambda command: command, commands=command_grid(), robots=1))[
-        "do_nothing"
-    ]
+    still = tracking_metrics(evaluate(lambda command: command, commands=command_grid(), robots=1))["do_nothing"]
     assert still["settled_speed_error"] == pytest.approx(1.2)
     assert still["settled_speed_error_straight"] == pytest.approx(1.2)
     assert still["settled_yaw_error"] == pytest.approx(5 / 9)

@@ -128,9 +128,7 @@ def test_estimator_errors_by_hand(evaluate):
 
     outs = ["action", ("estimate", "extrinsic"), ("estimate", "intrinsic")]
     policy = TensorDictModule(decide, in_keys=["command"], out_keys=outs)
-    encoder = TensorDictModule(
-        lambda x: x, in_keys=[("privileged", "intrinsic")], out_keys=[("latent", "intrinsic")]
-    )
+    encoder = TensorDictModule(lambda x: x, in_keys=[("privileged", "intrinsic")], out_keys=[("latent", "intrinsic")])
     errors = evaluate(policy, encoder_module=encoder).estimators
     assert errors.extrinsic.shape == (3, 3, 2, 4)
     assert (errors.steps == 20).all()

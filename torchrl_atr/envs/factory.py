@@ -24,6 +24,7 @@ def make_riding_env(
     profile: str | Readings = "default",
     num_threads: int | None = None,
     pushes: bool = True,
+    moving_start: float = 0.0,
     seed: int | None = None,
     history_length: int = 10,
     max_steps: int = 1000,
@@ -43,6 +44,7 @@ def make_riding_env(
         profile: name of a profile, or readings of your own.
         num_threads: physics threads; None for the CPUs this process may use.
         pushes: whether robot and platform are pushed every 3 s.
+        moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         seed: of env and curriculum alike, since ``env.set_seed`` does not reach transforms.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
@@ -68,6 +70,7 @@ def make_riding_env(
         profile=profile,
         num_threads=num_threads,
         pushes=pushes,
+        moving_start=moving_start,
         seed=seed,
     )
     dt = CONTROL_DT if env.readings.rewards_times_dt else 1.0

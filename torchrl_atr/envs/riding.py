@@ -37,6 +37,7 @@ class RidingEnv(EnvBase):
         profile: name of a profile, or :class:`~torchrl_atr.envs.profiles.Readings`.
         num_threads: physics threads; None for the CPUs this process may use.
         pushes: whether robot and platform are pushed every 3 s.
+        moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         seed: of intrinsics, initial states and pushes.
 
     Raises:
@@ -68,6 +69,7 @@ class RidingEnv(EnvBase):
         profile: str | Readings = "default",
         num_threads: int | None = None,
         pushes: bool = True,
+        moving_start: float = 0.0,
         seed: int | None = None,
     ) -> None:
         if not isinstance(num_envs, int) or num_envs < 1:
@@ -81,7 +83,7 @@ class RidingEnv(EnvBase):
         self.rng = torch.Generator()
         self.set_seed(seed if seed is not None else int(torch.randint(2**31, ())))
         engine = _make_engine(physics, scene, readings, num_envs, num_threads)
-        self.task = RidingTask(engine, readings, randomization, pushes, self.rng)
+        self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start)
         self._emitted = self.task.observe(torch.zeros(num_envs, len(COMMAND_FEATURES)))
         self._make_specs()
 
@@ -140,7 +142,7 @@ class RidingEnv(EnvBase):
         chosen = torch.ones(n, dtype=torch.bool) if mask is None else mask.reshape(n)
         rows = chosen.nonzero().squeeze(-1).numpy()
         if len(rows):
-            self.task.begin(rows)
+            self.task.begin(rows, self._command(tensordict)[chosen])
             fresh = self.task.observe(self._command(tensordict)[chosen], rows=rows)
             for key, value in fresh.items():
                 self._emitted[key] = self._emitted[key].masked_scatter(chosen.unsqueeze(-1), value)

@@ -123,18 +123,14 @@ def plot_command_area(result: TrackingResult, path: str | Path) -> Path:
                 axis.plot(EPSILONS, ours[kind][name], color=colour, lw=2, label=name)
                 axis.plot(EPSILONS, still[kind][name], ":", color=colour, lw=1.2)
             axis.plot([], [], ":", color=_GREY, label="do nothing")
-            axis.set(
-                xlabel="$\\varepsilon$ [m/s, rad/s]", title=title, xlim=(0, EPSILONS[-1]), ylim=(0, 1.02)
-            )
+            axis.set(xlabel="$\\varepsilon$ [m/s, rad/s]", title=title, xlim=(0, EPSILONS[-1]), ylim=(0, 1.02))
             axis.grid(alpha=0.25)
         axes[0].set_ylabel("command area [share of trials]")
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center")
         return _save(figure, path)
 
 
-def plot_learning_curves(
-    progress_csv: str | Path, path: str | Path, curves: Mapping[str, str] | None = None
-) -> Path:
+def plot_learning_curves(progress_csv: str | Path, path: str | Path, curves: Mapping[str, str] | None = None) -> Path:
     """One panel for each column of a run's ``progress.csv`` that ``curves`` knows, over frames (or rows).
 
     Args:

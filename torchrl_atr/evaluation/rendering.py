@@ -29,9 +29,7 @@ _NO_GL = (
 
 def has_display() -> bool:
     """Whether a window could be opened here."""
-    return not sys.platform.startswith("linux") or bool(
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    )
+    return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def gl_backend() -> str:
@@ -52,9 +50,7 @@ def _make_contexts(model: mujoco.MjModel, size: tuple[int, int]) -> tuple[Any, m
         context = importlib.import_module(_BACKENDS[name]).GLContext(*size)
         context.make_current()
         return context, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
-    except (
-        Exception
-    ) as error:  # PyOpenGL raises whatever went wrong: AttributeError, ImportError, GLError, ...
+    except Exception as error:  # PyOpenGL raises whatever went wrong: AttributeError, ImportError, GLError, ...
         raise RuntimeError(_NO_GL.format(name=name, reason=error or type(error).__name__)) from error
 
 
@@ -76,9 +72,7 @@ class Picture:
         ValueError: if the picture is too large, or there is no such camera.
     """
 
-    def __init__(
-        self, env: EnvBase, size: tuple[int, int] = (640, 480), camera: str = CHASE, row: int = 0
-    ) -> None:
+    def __init__(self, env: EnvBase, size: tuple[int, int] = (640, 480), camera: str = CHASE, row: int = 0) -> None:
         self._mirror = Mirror(env, row)
         model = self._mirror.model
         largest = model.vis.global_.offwidth, model.vis.global_.offheight
@@ -188,9 +182,7 @@ class Mirror:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
-        self.data.light_xpos[:, :2] += self.pose()[
-            :2
-        ]  # the light goes along, or shadows would be left behind
+        self.data.light_xpos[:, :2] += self.pose()[:2]  # the light goes along, or shadows would be left behind
 
     def pose(self) -> tuple[float, float, float]:
         """Position (m) and heading (rad, not wrapped) of the board."""

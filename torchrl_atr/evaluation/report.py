@@ -34,9 +34,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def write_report(
-    result: TrackingResult, metrics: Mapping[str, Any], output_dir: str | Path
-) -> dict[str, Path]:
+def write_report(result: TrackingResult, metrics: Mapping[str, Any], output_dir: str | Path) -> dict[str, Path]:
     """Writes ``metrics.json``, ``tracking.npz``, ``heatmaps.png``, ``response.png`` and ``command_area.png``.
 
     Args:
@@ -55,9 +53,7 @@ def write_report(
     folder = Path(output_dir)
     paths = {name: folder / name for name in ("metrics.json", "tracking.npz")}
     with atomic(paths["metrics.json"]) as file:
-        file.write_text(
-            json.dumps(metrics, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8"
-        )
+        file.write_text(json.dumps(metrics, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
     save_tracking(result, paths["tracking.npz"])
     plots = {
         "heatmaps.png": figures.plot_heatmaps,
@@ -91,14 +87,8 @@ def load_tracking(path: str | Path) -> TrackingResult:
         arrays = {name: _plain(file[name]) for name in file.files}
     missing = [f.name for f in fields(TrackingResult) if f.name != "estimators" and f.name not in arrays]
     if missing:
-        raise KeyError(
-            f"{path} lacks {', '.join(missing)}: not a tracking file, or an old one; evaluate again"
-        )
-    own = {
-        name.removeprefix(_ESTIMATORS): arrays.pop(name)
-        for name in list(arrays)
-        if name.startswith(_ESTIMATORS)
-    }
+        raise KeyError(f"{path} lacks {', '.join(missing)}: not a tracking file, or an old one; evaluate again")
+    own = {name.removeprefix(_ESTIMATORS): arrays.pop(name) for name in list(arrays) if name.startswith(_ESTIMATORS)}
     return TrackingResult(**arrays, estimators=EstimatorErrors(**own) if own else None)
 
 

@@ -154,9 +154,7 @@ def evaluate_tracking(
     axes = [np.asarray(axis, dtype=np.float64).reshape(-1) for axis in grid]
     total, settled = round(seconds / dt), round(settle / dt)
     if not 0 <= settled < total:
-        raise ValueError(
-            f"settle={settle} s must be shorter than the trial, seconds={seconds}, and not negative"
-        )
+        raise ValueError(f"settle={settle} s must be shorter than the trial, seconds={seconds}, and not negative")
     if robots_per_command < 1 or not all(axis.size and np.isfinite(axis).all() for axis in axes):
         raise ValueError("need at least one robot per command, and one finite speed and yaw rate")
     pairs = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)

@@ -88,9 +88,7 @@ def record_video(
     """
     codec = _SUFFIXES.get(Path(path).suffix.lower())
     if codec is None:
-        raise ValueError(
-            f"cannot write {Path(path).name!r}; choose a name that ends in {' or '.join(_SUFFIXES)}"
-        )
+        raise ValueError(f"cannot write {Path(path).name!r}; choose a name that ends in {' or '.join(_SUFFIXES)}")
     if not commands or seconds <= 0 or fps <= 0:
         raise ValueError("a video needs at least one command, and positive seconds and fps")
     media = _mediapy()
@@ -101,9 +99,7 @@ def record_video(
         atomic(path) as file,
         media.VideoWriter(file, shape, fps=1.0 / period, codec=codec) as writer,
     ):
-        for step, (command, fell) in enumerate(
-            ride(policy, env, commands, round(seconds / CONTROL_DT)), start=1
-        ):
+        for step, (command, fell) in enumerate(ride(policy, env, commands, round(seconds / CONTROL_DT)), start=1):
             falls += fell
             if step % every == 0:
                 names, values = _caption(step * CONTROL_DT, command, platform_speeds(env)[0].tolist(), falls)
@@ -146,9 +142,7 @@ def _deterministic(policy: TensorDictModuleBase) -> Iterator[None]:
         policy.train(was_training)
 
 
-def _caption(
-    time: float, command: tuple[float, float], speeds: Sequence[float], falls: int
-) -> tuple[str, str]:
+def _caption(time: float, command: tuple[float, float], speeds: Sequence[float], falls: int) -> tuple[str, str]:
     rows = {
         "time": f"{time:5.1f} s",
         "speed": f"{speeds[0]:+5.2f} m/s   (asked {command[0]:+.2f})",
@@ -164,8 +158,6 @@ def _mediapy() -> Any:
         import imageio_ffmpeg
         import mediapy
     except ImportError as error:
-        raise ImportError(
-            "videos need mediapy and imageio-ffmpeg: pip install 'torchrl_atr[video]'"
-        ) from error
+        raise ImportError("videos need mediapy and imageio-ffmpeg: pip install 'torchrl_atr[video]'") from error
     mediapy.set_ffmpeg(imageio_ffmpeg.get_ffmpeg_exe())
     return mediapy

@@ -34,9 +34,7 @@ class Keyboard:
 
     SPACE, RIGHT, LEFT, DOWN, UP = 32, 262, 263, 264, 265  # GLFW's codes
 
-    def __init__(
-        self, limits: tuple[float, float] = (2.0, 1.0), step: tuple[float, float] = (0.25, 0.25)
-    ) -> None:
+    def __init__(self, limits: tuple[float, float] = (2.0, 1.0), step: tuple[float, float] = (0.25, 0.25)) -> None:
         self.limits, self.step = np.array(limits), np.array(step)
         self.command = np.zeros(2)
 

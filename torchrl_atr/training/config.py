@@ -49,6 +49,7 @@ class TrainConfig:
         student_fraction: share of the robots that act on the estimates under ``mixed``.
         history_length: H.
         critic_cells: hidden widths of the critic; the actor's are Table I's.
+        moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         score_from_seconds: part of a command's time that the score leaves out (A6).
@@ -91,7 +92,8 @@ class TrainConfig:
     student_fraction: float = 0.5
     history_length: int = 10
     critic_cells: tuple[int, ...] = (256, 128, 64)
-    episode_seconds: float = 20.0
+    moving_start: float = 0.8
+    episode_seconds: float = 5.0
     command_seconds: float = 5.0
     tracking_threshold: float = 0.8
     score_from_seconds: float = 0.0
@@ -165,6 +167,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "adaptation_epochs": (1, 1000),
     "student_fraction": (0, 1),
     "history_length": (1, 1000),
+    "moving_start": (0, 1),
     "episode_seconds": (0.1, 1e6),
     "command_seconds": (0.1, 1e6),
     "tracking_threshold": (0.01, 1),

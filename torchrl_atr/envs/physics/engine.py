@@ -164,18 +164,19 @@ class Engine(ABC):
         self.qfrc_applied[:, layout.planar_dof] = self._planar_inertia * error / dt
 
     def reset(self, rows: NDArray[np.int64], qpos: Array, qvel: Array, parameters: PhysicalParameters) -> None:
-        """Starts new episodes: fresh parameters, state, and a transporter at rest.
+        """Starts new episodes: fresh parameters and state, the transporters heading along x.
 
         Args:
             rows: which simulations, (n,) integers; the others are left exactly as they are.
             qpos: (n, nq).
-            qvel: (n, nv).
+            qvel: (n, nv); the drive law starts from its planar speeds.
             parameters: for those rows.
         """
         self._write_parameters(rows, parameters)
         self._refresh_constants(rows)
         self._refresh_deck(rows, parameters.platform_mass)
-        self.speeds[rows] = 0.0
+        forward, _, yaw = self.scene.layout.planar_dof
+        self.speeds[rows] = qvel[:, [forward, yaw]]
         self.odometer[rows] = 0.0
         self.diverged[rows] = False
         self._restart(rows, qpos, qvel)

@@ -49,6 +49,7 @@ class RidingTask:
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
         pushes: whether robot and platform are pushed every 3 s.
         rng: source of intrinsics, initial states and pushes.
+        moving_start: share of the episodes that start at part of the commanded speeds.
 
     Attributes:
         x_int: scaled intrinsic parameters, (N, 34).
@@ -67,7 +68,11 @@ class RidingTask:
         randomization: intrinsics.Randomization,
         pushes: bool,
         rng: torch.Generator,
+        moving_start: float = 0.0,
     ) -> None:
+        if not 0.0 <= moving_start <= 1.0:
+            raise ValueError(f"moving_start={moving_start!r} is a share; choose a number in [0, 1]")
+        self.moving_start = moving_start
         self.engine, self.scene, self.readings = engine, engine.scene, readings
         self.randomization, self.pushes, self.rng = randomization, pushes, rng
         self.num_diverged = 0
@@ -81,10 +86,18 @@ class RidingTask:
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
         self.begin(np.arange(n))
 
-    def begin(self, rows: NDArray[np.int64]) -> None:
-        """Starts episodes of ``rows`` with fresh intrinsics and initial states; leaves the others alone."""
+    def begin(self, rows: NDArray[np.int64], command: Tensor | None = None) -> None:
+        """Starts episodes of ``rows`` with fresh intrinsics and initial states; leaves the others alone.
+
+        Args:
+            rows: (n,) integers.
+            command: (c_v, c_ω) that those episodes start with, (n, 2); read by moving starts.
+        """
         x_int = intrinsics.sample_intrinsics(len(rows), self.joints, self.randomization, self.rng)
-        qpos, qvel = disturbances.initial_state(self.scene, len(rows), self.rng)
+        speeds = None
+        if self.moving_start > 0.0 and command is not None:
+            speeds = disturbances.initial_speeds(command.double().numpy(), self.moving_start, self.rng)
+        qpos, qvel = disturbances.initial_state(self.scene, len(rows), self.rng, speeds)
         self.engine.reset(rows, qpos, qvel, intrinsics.physical_parameters(x_int, self.scene, self.readings))
         # out of place: callers may hold what was handed out before
         self.x_int, self.previous_action = self.x_int.clone(), self.previous_action.clone()

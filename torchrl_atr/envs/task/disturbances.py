@@ -33,13 +33,35 @@ def push(engine: Engine, rows: NDArray[np.int64], generator: torch.Generator) ->
     engine.speeds[rows] += np.array(PLATFORM_PUSH) * draw[:, 2:]
 
 
-def initial_state(scene: Scene, n: int, generator: torch.Generator) -> tuple[Array, Array]:
-    """The standing pose with slightly randomised height and joint angles, at rest.
+def initial_speeds(commands: Array, moving_start: float, generator: torch.Generator) -> Array:
+    """Speeds that transporters start with: a random part of what is commanded, or rest.
+
+    The tracking kernels are steepest near their peak, and the yaw that a lean earns comes seconds later: a rider that
+    starts at (part of) the commanded yaw rate feels at once that leaning keeps it, one that starts at rest pays for the
+    lean long before it turns.
+
+    Args:
+        commands: (c_v, c_ω), (n, 2).
+        moving_start: share of the starts that are on the move, in [0, 1].
+        generator: source of randomness.
+
+    Returns:
+        (n, 2): each component of a moving start is uniform between 0 and its command.
+    """
+    draw = torch.rand(len(commands), 3, generator=generator, dtype=torch.float64).numpy()
+    return np.where(draw[:, :1] < moving_start, draw[:, 1:] * commands, 0.0)
+
+
+def initial_state(
+    scene: Scene, n: int, generator: torch.Generator, speeds: Array | None = None
+) -> tuple[Array, Array]:
+    """The standing pose with slightly randomised height and joint angles, at rest on its transporter.
 
     Args:
         scene: keyframe 0 is the standing pose.
         n: how many robots.
         generator: source of randomness.
+        speeds: forward speed and yaw rate of the transporters, heading along x, (n, 2); None for rest.
 
     Returns:
         ``qpos`` (n, nq) and ``qvel`` (n, nv); up to 2 cm above the stand, joints within 0.05 rad of q0.
@@ -50,4 +72,13 @@ def initial_state(scene: Scene, n: int, generator: torch.Generator) -> tuple[Arr
     qpos = np.tile(model.key_qpos[0], (n, 1))
     qpos[:, layout.root_qpos + 2] += _HEIGHT_SPREAD * draw[:, 0]
     qpos[:, layout.joint_qpos] += _JOINT_SPREAD * (2.0 * draw[:, 1:] - 1.0)
-    return qpos, np.zeros((n, model.nv))
+    qvel = np.zeros((n, model.nv))
+    if speeds is not None:
+        planar, root = layout.planar_dof, layout.root_dof
+        qvel[:, planar[0]], qvel[:, planar[2]] = speeds[:, 0], speeds[:, 1]
+        # the robot moves with the board as one rigid body: v + omega x r
+        offset = qpos[:, layout.root_qpos : layout.root_qpos + 2]
+        qvel[:, root] = speeds[:, 0] - speeds[:, 1] * offset[:, 1]
+        qvel[:, root + 1] = speeds[:, 1] * offset[:, 0]
+        qvel[:, root + 5] = speeds[:, 1]
+    return qpos, qvel
