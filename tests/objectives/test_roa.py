@@ -50,9 +50,7 @@ def touched(networks) -> set[str]:
         ("loss_extrinsic", "privileged", {"extrinsic_estimator"}),
     ],
 )
-def test_gradients_reach_only_their_network(
-    networks, make_loss, make_batch, functional, term, source, receives
-):
+def test_gradients_reach_only_their_network(networks, make_loss, make_batch, functional, term, source, receives):
     loss = make_loss(source, functional=functional)
     loss(make_batch(source))[term].backward()
     assert touched(networks) == receives
@@ -167,9 +165,7 @@ def test_extrinsic_scale_by_tensor_and_by_running_std():
         loss, data = hand_made(extrinsic_scale=scale)
         assert loss.adaptation_loss(data)["loss_extrinsic"].item() == pytest.approx(expected)
     norm.update(torch.tensor([[-100.0, -100.0, -100.0], [100.0, 100.0, 100.0]]))
-    assert (
-        loss.adaptation_loss(data)["loss_extrinsic"].item() < expected / 100
-    )  # the std is read at every call
+    assert loss.adaptation_loss(data)["loss_extrinsic"].item() < expected / 100  # the std is read at every call
 
 
 @pytest.mark.parametrize("source", SOURCES)
@@ -223,9 +219,7 @@ def test_policy_loss_reads_a_recorded_estimate(make_loss, make_batch):
 
 def test_ppo_terms_are_those_of_clip_ppo(networks, make_loss, make_batch):
     batch = make_batch()
-    stock = ClipPPOLoss(
-        networks.training_actor(), networks.critic_module, clip_epsilon=0.1, entropy_coeff=0.02
-    )
+    stock = ClipPPOLoss(networks.training_actor(), networks.critic_module, clip_epsilon=0.1, entropy_coeff=0.02)
     loss = make_loss(clip_epsilon=0.1, entropy_coeff=0.02)
     loss.value_estimator(batch)
     with torch.no_grad():

@@ -16,6 +16,7 @@ from torchrl_atr.modules.estimators import (
     get_estimator,
     register_estimator,
 )
+from torchrl_atr.modules.exploration import CorrelatedGaussian, correlate
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.networks import NormalizedEstimator, RidingNetworks, make_networks
 from torchrl_atr.modules.normalization import RunningNormalizer
@@ -27,6 +28,7 @@ __all__ = [
     "AssignActSource",
     "AsymmetricCritic",
     "CNNGRUEstimator",
+    "CorrelatedGaussian",
     "IntrinsicEncoder",
     "MLPEstimator",
     "NetworkKeys",
@@ -37,6 +39,7 @@ __all__ = [
     "StateIndependentStd",
     "available_estimators",
     "check_estimator",
+    "correlate",
     "get_estimator",
     "make_actor",
     "make_networks",

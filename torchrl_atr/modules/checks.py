@@ -69,9 +69,7 @@ def _check_outputs(net: nn.Module, history_shape: tuple[int, int], out_features:
                 f"raised {type(error).__name__}: {error}. Accept any number of leading dimensions "
                 "(flatten them, restore them on the output)."
             ) from error
-        _require(
-            isinstance(out, Tensor), "output", f"forward returned a {type(out).__name__}; return one Tensor."
-        )
+        _require(isinstance(out, Tensor), "output", f"forward returned a {type(out).__name__}; return one Tensor.")
         expected = (*batch, out_features)
         _require(
             tuple(out.shape) == expected,
@@ -135,6 +133,5 @@ def _check_state_dict(net: nn.Module, twin: nn.Module, history: Tensor) -> None:
     _require(
         torch.equal(twin(history), net(history)),
         "state_dict",
-        "a second instance with the same state_dict gives other outputs; "
-        "register all state as parameters or buffers.",
+        "a second instance with the same state_dict gives other outputs; register all state as parameters or buffers.",
     )

@@ -167,9 +167,7 @@ class MLPEstimator(nn.Module):
         torch.Size([4, 16])
     """
 
-    def __init__(
-        self, history_shape: tuple[int, int], out_features: int, cells: Sequence[int] = (256, 128)
-    ) -> None:
+    def __init__(self, history_shape: tuple[int, int], out_features: int, cells: Sequence[int] = (256, 128)) -> None:
         super().__init__()
         self.history_shape = (int(history_shape[0]), int(history_shape[1]))
         size = self.history_shape[0] * self.history_shape[1]

@@ -95,17 +95,13 @@ class RidingNetworks(nn.Module):
     def intrinsic_estimator_module(self) -> TensorDictModule:
         """Intrinsic estimator: history (*B, H, D) to the estimated latent (*B, L)."""
         keys = self.keys
-        return TensorDictModule(
-            self.intrinsic_estimator, in_keys=[keys.history], out_keys=[keys.intrinsic_estimate]
-        )
+        return TensorDictModule(self.intrinsic_estimator, in_keys=[keys.history], out_keys=[keys.intrinsic_estimate])
 
     @property
     def extrinsic_estimator_module(self) -> TensorDictModule:
         """Extrinsic estimator: history (*B, H, D) to the extrinsic state (*B, E), SI units."""
         keys = self.keys
-        return TensorDictModule(
-            self.extrinsic_estimator, in_keys=[keys.history], out_keys=[keys.extrinsic_estimate]
-        )
+        return TensorDictModule(self.extrinsic_estimator, in_keys=[keys.history], out_keys=[keys.extrinsic_estimate])
 
     @property
     def critic_module(self) -> ValueOperator:
@@ -125,9 +121,7 @@ class RidingNetworks(nn.Module):
         front = [] if source == "estimated" else [self.encoder_module]
         return self._actor(source, *front)
 
-    def rollout_policy(
-        self, source: Source = "privileged", student_fraction: float = 0.5
-    ) -> ProbabilisticActor:
+    def rollout_policy(self, source: Source = "privileged", student_fraction: float = 0.5) -> ProbabilisticActor:
         """Return the actor that collects; it computes and records what :meth:`training_actor` reads.
 
         Args:

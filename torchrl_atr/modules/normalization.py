@@ -84,9 +84,7 @@ class RunningNormalizer(nn.Module):
         total = self.count + rows.shape[0]
         weight = rows.shape[0] / total
         delta = batch_mean.reshape(self.shape) - mean
-        merged = (
-            (1 - weight) * var + weight * batch_var.reshape(self.shape) + weight * (1 - weight) * delta**2
-        )
+        merged = (1 - weight) * var + weight * batch_var.reshape(self.shape) + weight * (1 - weight) * delta**2
         self.mean.copy_(mean + weight * delta)
         self.var.copy_(merged)
         self.count.copy_(total)

@@ -162,9 +162,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
 
     def _add_scale(self, scale: Tensor | nn.Module | None) -> None:
         if isinstance(scale, nn.Module) and not isinstance(getattr(scale, "std", None), Tensor):
-            raise ValueError(
-                "extrinsic_scale must be a Tensor, a RunningNormalizer (a module with std) or None."
-            )
+            raise ValueError("extrinsic_scale must be a Tensor, a RunningNormalizer (a module with std) or None.")
         if isinstance(scale, Tensor) and not bool((scale > 0).all()):
             raise ValueError(f"extrinsic_scale must be positive, got {scale.tolist()}.")
         self.extrinsic_norm = scale if isinstance(scale, nn.Module) else None
@@ -237,9 +235,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
                 f"No extrinsic target {self.tensor_keys.extrinsic!r} in the data; "
                 "name the entry that holds it with loss.set_keys(extrinsic=...)."
             )
-        error = (
-            self._run("extrinsic_estimator_network", self.tensor_keys.extrinsic_estimate, tensordict) - target
-        )
+        error = self._run("extrinsic_estimator_network", self.tensor_keys.extrinsic_estimate, tensordict) - target
         scale = self.extrinsic_scale
         scaled = error if scale is None else error / scale
         latent_distance = (latent_estimate - latent.detach()).square().sum(-1)
@@ -260,11 +256,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
     def _run(self, name: str, key: NestedKey, tensordict: TensorDictBase) -> Tensor:
         """Run a network on its own inputs only, so that it cannot overwrite what the rollout recorded."""
         network, params = getattr(self, name), getattr(self, f"{name}_params")
-        swapped = (
-            contextlib.nullcontext()
-            if params is None
-            else params.to_module(network, preserve_module_state=False)
-        )
+        swapped = contextlib.nullcontext() if params is None else params.to_module(network, preserve_module_state=False)
         with swapped:
             out = network(tensordict.select(*network.in_keys)).get(key, None)
         if out is None:

@@ -39,9 +39,7 @@ class LinearSchedule:
         buffers = dict(loss.named_buffers(recurse=False))
         allowed = sorted(key for key in type(loss)._all_schedulable_buffers if key in buffers)
         if name not in allowed:
-            raise ValueError(
-                f"{type(loss).__name__} has no coefficient {name!r}. Allowed: {', '.join(allowed)}."
-            )
+            raise ValueError(f"{type(loss).__name__} has no coefficient {name!r}. Allowed: {', '.join(allowed)}.")
         if not 0.0 <= begin < until <= 1.0:
             raise ValueError(f"Need 0 <= begin < until <= 1, got begin={begin}, until={until}.")
         self.loss, self.name = loss, name

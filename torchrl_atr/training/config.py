@@ -40,6 +40,7 @@ class TrainConfig:
         critic_learning_rate, estimator_learning_rate: fixed.
         clip_epsilon, entropy_coeff, max_grad_norm: PPO.
         init_std, min_std: exploration, in units of the action.
+        noise_correlation: of the exploration from one control step to the next, in [0, 1).
         final_std: ceiling of the exploration at the end of the run, lowered linearly from ``init_std`` after
             ``anneal_from`` of it.
         anneal_from: share of the run, in [0, 1).
@@ -84,6 +85,7 @@ class TrainConfig:
     max_grad_norm: float = 1.0
     init_std: float = 0.2
     min_std: float = 0.03
+    noise_correlation: float = 0.9
     final_std: float = 0.08
     anneal_from: float = 0.3
     roa_coeff: float = 0.2
@@ -161,6 +163,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "max_grad_norm": (_POSITIVE, 1e9),
     "init_std": (1e-3, 10),
     "min_std": (0, 10),
+    "noise_correlation": (0, 0.999),
     "final_std": (1e-3, 10),
     "anneal_from": (0, 0.99),
     "roa_coeff": (0, 1e3),

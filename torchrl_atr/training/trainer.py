@@ -20,7 +20,7 @@ from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.rewards import MAX_TRACKING
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import RidingNetworks, make_networks
+from torchrl_atr.modules import RidingNetworks, correlate, make_networks
 from torchrl_atr.training.checkpoint import NAME, load_checkpoint, save_checkpoint
 from torchrl_atr.training.config import TrainConfig, make_config
 from torchrl_atr.training.learner import Learner
@@ -130,9 +130,10 @@ class Trainer:
         config = self.config
         _write_json(self.run / "config.json", config.to_dict())
         self.save()
+        policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
         collector = Collector(
             self.env,
-            self.learner.networks.rollout_policy(config.act_source, config.student_fraction),
+            correlate(policy, config.noise_correlation),
             frames_per_batch=config.frames_per_batch,
             total_frames=-1,
             exploration_type=ExplorationType.RANDOM,

@@ -17,9 +17,7 @@ CENTRE = (75, 10)
 
 def make(batch=(4,), window=5, seed=0, **kwargs):
     toy = {name: kwargs.pop(name) for name in ("lifetime", "quality") if name in kwargs}
-    return TransformedEnv(
-        ToyEnv(batch, **toy), CommandCurriculum((1.0, 1.0), window=window, seed=seed, **kwargs)
-    )
+    return TransformedEnv(ToyEnv(batch, **toy), CommandCurriculum((1.0, 1.0), window=window, seed=seed, **kwargs))
 
 
 def only(*cells):
@@ -148,17 +146,13 @@ def test_tracking_max_scales_the_threshold():
 
 @pytest.mark.parametrize("lifetime", [4, 5, 9])
 def test_early_termination_fails(lifetime):
-    env = make(
-        lifetime=lifetime, window=10 if lifetime == 9 else 5
-    )  # 9 of 10 perfect steps would average 0.9
+    env = make(lifetime=lifetime, window=10 if lifetime == 9 else 5)  # 9 of 10 perfect steps would average 0.9
     env.rollout(40, break_when_any_done=False)
     assert env.transform.weights.sum() == 15
 
 
 def test_a_window_that_ends_with_the_time_limit_counts():
-    env = TransformedEnv(
-        ToyEnv((4,)), riding_transforms((1.0, 1.0), history_length=2, max_steps=5, window=5, seed=0)
-    )
+    env = TransformedEnv(ToyEnv((4,)), riding_transforms((1.0, 1.0), history_length=2, max_steps=5, window=5, seed=0))
     data = env.rollout(5, break_when_any_done=False)
     assert data["next", "truncated"][:, -1].all()
     assert env.transform[0].weights.sum() > 15

@@ -107,9 +107,7 @@ def test_every_inner_cell_has_all_its_neighbours():
         assert new.nonzero().tolist() == [[row + i, 10 + j] for i in (-1, 0, 1) for j in (-1, 0, 1)]
 
 
-@pytest.mark.parametrize(
-    ("expansion", "radius"), [((0.2, 0.2), (1, 1)), ((0.6, 0.4), (3, 2)), ((0.0, 0.2), (0, 1))]
-)
+@pytest.mark.parametrize(("expansion", "radius"), [((0.2, 0.2), (1, 1)), ((0.6, 0.4), (3, 2)), ((0.0, 0.2), (0, 1))])
 def test_radius_is_the_rounded_ratio(expansion, radius):
     assert CommandGrid(expansion=expansion).radius == radius
 

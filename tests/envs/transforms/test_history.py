@@ -117,9 +117,7 @@ def test_state_dict_round_trip_before_and_after_the_first_reset():
     other.load_state_dict(torch.load(file, weights_only=True))
     other.base_env.time = env.base_env.time.clone()
     other.base_env.episode = env.base_env.episode.clone()
-    runs = [
-        e.rollout(8, break_when_any_done=False, auto_reset=False, tensordict=td.clone()) for e in (env, other)
-    ]
+    runs = [e.rollout(8, break_when_any_done=False, auto_reset=False, tensordict=td.clone()) for e in (env, other)]
     assert torch.equal(runs[0]["next", "history"], runs[1]["next", "history"])
 
 

@@ -52,9 +52,7 @@ def initial_speeds(commands: Array, moving_start: float, generator: torch.Genera
     return np.where(draw[:, :1] < moving_start, draw[:, 1:] * commands, 0.0)
 
 
-def initial_state(
-    scene: Scene, n: int, generator: torch.Generator, speeds: Array | None = None
-) -> tuple[Array, Array]:
+def initial_state(scene: Scene, n: int, generator: torch.Generator, speeds: Array | None = None) -> tuple[Array, Array]:
     """The standing pose with slightly randomised height and joint angles, at rest on its transporter.
 
     Args:

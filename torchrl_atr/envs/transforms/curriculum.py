@@ -241,9 +241,7 @@ class CommandCurriculum(Transform):
     def _make_rows(self) -> bool:
         """Allocate the rows if there are none for this batch size; whether it did."""
         if self.parent is None:
-            raise RuntimeError(
-                "CommandCurriculum is not attached; use TransformedEnv(env, CommandCurriculum(...))"
-            )
+            raise RuntimeError("CommandCurriculum is not attached; use TransformedEnv(env, CommandCurriculum(...))")
         batch = self.parent.batch_size
         if self.rows.batch == batch:
             self.rows.to(self.weights.device)  # after a load from another device
@@ -276,9 +274,7 @@ class CommandCurriculum(Transform):
         index = (rows & ~self.rows.pinned).nonzero()[:, 0]
         if len(index):
             # drawn on the CPU: the same commands on every device
-            uniforms = torch.rand(
-                len(index), 1 + len(self.grid.bounds), generator=self._generator, dtype=torch.float64
-            )
+            uniforms = torch.rand(len(index), 1 + len(self.grid.bounds), generator=self._generator, dtype=torch.float64)
             commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
             self.rows.command[index] = commands.to(self.rows.command.dtype)
             self.rows.cells[index] = cells

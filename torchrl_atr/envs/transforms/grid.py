@@ -67,9 +67,7 @@ class CommandGrid:
         ):
             name = ("c_v", "c_omega")[axis]
             if not _whole(bound / size):
-                raise ValueError(
-                    f"bounds[{axis}] ({name}) = {bound} must be a whole multiple of its bin {size}"
-                )
+                raise ValueError(f"bounds[{axis}] ({name}) = {bound} must be a whole multiple of its bin {size}")
             if initial > bound + _TOLERANCE:
                 raise ValueError(f"initial[{axis}] ({name}) = {initial} must lie within its bound {bound}")
             if reach > _TOLERANCE and round(reach / size) == 0:

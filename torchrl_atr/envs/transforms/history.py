@@ -42,9 +42,7 @@ class ObservationHistory(Transform):
 
     _frames: Tensor | None
 
-    def __init__(
-        self, length: int, in_key: NestedKey = "observation", out_key: NestedKey = "history"
-    ) -> None:
+    def __init__(self, length: int, in_key: NestedKey = "observation", out_key: NestedKey = "history") -> None:
         if length < 1:
             raise ValueError(f"length must be at least 1, got {length}")
         super().__init__(in_keys=[in_key], out_keys=[out_key])
@@ -64,9 +62,7 @@ class ObservationHistory(Transform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         if self._frames is None:
-            raise RuntimeError(
-                "ObservationHistory has no history before the first reset; call env.reset() first"
-            )
+            raise RuntimeError("ObservationHistory has no history before the first reset; call env.reset() first")
         newest = self._observation(next_tensordict)
         self._frames = torch.cat([self._frames[..., 1:, :], newest], -2)
         return self._emit(next_tensordict)
@@ -87,9 +83,7 @@ class ObservationHistory(Transform):
         """
         if self.in_keys[0] not in observation_spec.keys(True, True):
             known = sorted(map(str, observation_spec.keys(True, True)))
-            raise KeyError(
-                f"observation {self.in_keys[0]!r} is not among {known}; name one of these as in_key"
-            )
+            raise KeyError(f"observation {self.in_keys[0]!r} is not among {known}; name one of these as in_key")
         frame = observation_spec[self.in_keys[0]]
         shape = (*frame.shape[:-1], self.length, frame.shape[-1])
         observation_spec[self.out_keys[0]] = frame.unsqueeze(-2).expand(shape).clone()
