@@ -73,7 +73,7 @@ class TrainConfig:
     num_threads: int = 0
     gamma: float = 0.995
     gae_lambda: float = 0.95
-    epochs: int = 3
+    epochs: int = 2
     minibatches: int = 4
     learning_rate: float = 3e-4
     max_learning_rate: float = 2e-3
@@ -86,8 +86,8 @@ class TrainConfig:
     init_std: float = 0.2
     min_std: float = 0.03
     noise_correlation: float = 0.9
-    final_std: float = 0.08
-    anneal_from: float = 0.3
+    final_std: float = 0.1
+    anneal_from: float = 0.6
     roa_coeff: float = 0.2
     adaptation_epochs: int = 1
     act_source: Source = "mixed"
@@ -97,9 +97,9 @@ class TrainConfig:
     moving_start: float = 0.8
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
-    tracking_threshold: float = 0.8
-    score_from_seconds: float = 0.0
-    initial_speed: float = 0.5
+    tracking_threshold: float = 0.6
+    score_from_seconds: float = 1.0
+    initial_speed: float = 1.0
     initial_yaw_rate: float = 0.3
     runaway_speed: float = 2.0
     runaway_yaw_rate: float = 2.0

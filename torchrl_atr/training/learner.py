@@ -97,11 +97,10 @@ class Learner:
     def _record_latent_estimates(self, flat: TensorDictBase) -> None:
         """ẑ once an iteration, without gradient: what the encoder is pulled towards (Eq. 15's second term)."""
         module = self.networks.intrinsic_estimator_module
+        (key,) = module.out_keys
         with torch.no_grad():
-            for part in flat.split(self.buffer.batch_size):
-                estimate = module(part.select(*module.in_keys))
-                part.update(estimate.select(*module.out_keys))
-            flat.update(torch.cat([p.select(*module.out_keys) for p in flat.split(self.buffer.batch_size)]))
+            parts = [module(part.select(*module.in_keys))[key] for part in flat.split(self.buffer.batch_size)]
+        flat.set(key, torch.cat(parts))
 
     def _policy_steps(self) -> Iterator[TensorDictBase]:
         for _ in range(self.config.epochs):
