@@ -13,6 +13,13 @@ from typing import Any
 from torchrl_atr import __version__
 
 _DEFAULT_RUN = Path("runs/latest")
+_HEADLINES = (
+    "survival",
+    "settled_speed_error_straight",
+    "settled_speed_error",
+    "settled_yaw_error",
+    "yaw_slope",
+)
 _SETTINGS = (
     "robot",
     "transporter",
@@ -106,27 +113,47 @@ def evaluate(arguments: argparse.Namespace) -> None:
     """``torchrl-atr evaluate``."""
     from functools import partial
 
-    from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics, write_report
+    from torchrl_atr.evaluation import command_grid, evaluate_tracking, figures, tracking_metrics, write_report
     from torchrl_atr.training import load_run, make_env
+    from torchrl_atr.training.provenance import provenance
 
-    config, env, networks, _ = load_run(arguments.run, num_envs=1)
+    config, env, networks, state = load_run(arguments.run, num_envs=1)
     env.close()
     result = evaluate_tracking(
         networks.deployed_policy(),
         partial(
-            make_env, config, randomization=arguments.randomization, moving_start=0.0, pushes=False, runaway_margin=None
+            make_env,
+            config,
+            randomization=arguments.randomization,
+            moving_start=0.0,
+            pushes=False,
+            runaway_margin=None,
         ),
         command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
         robots_per_command=arguments.robots_per_command,
         seed=arguments.seed,
         encoder_module=networks.encoder_module,
     )
-    output = arguments.output or arguments.run
     metrics = tracking_metrics(result)
+    metrics["evaluation"] = {"seed": arguments.seed, "randomization": arguments.randomization}
+    metrics["run"] = provenance(config, state["frames"], state["seconds"])
+    output = arguments.output or arguments.run
     write_report(result, metrics, output)
-    for name in ("survival", "settled_speed_error_straight", "settled_speed_error", "settled_yaw_error", "yaw_slope"):
-        sys.stdout.write(f"{name}: {metrics[name]}\n")
+    if (arguments.run / "progress.csv").is_file():
+        figures.plot_learning_curves(arguments.run / "progress.csv", output / "learning_curves.png")
+    weights = state["curriculum"]["weights"]
+    figures.plot_curriculum(weights, env.transform[0].grid.bounds, output / "curriculum.png")
+    _print_figures(metrics)
     sys.stdout.write(f"report in {output}\n")
+
+
+def _print_figures(metrics: dict[str, Any]) -> None:
+    """The headline figures, those of a board that stays still beside them."""
+    still = metrics["do_nothing"]
+    sys.stdout.write(f"{'':32}{'ours':>10}{'do nothing':>14}\n")
+    for name in _HEADLINES:
+        ours, theirs = (f"{value:.3f}" if value is not None else "-" for value in (metrics[name], still[name]))
+        sys.stdout.write(f"{name:32}{ours:>10}{theirs:>14}\n")
 
 
 def play(arguments: argparse.Namespace) -> None:

@@ -26,6 +26,7 @@ from torchrl_atr.training.config import TrainConfig, make_config
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.progress import Progress
+from torchrl_atr.training.provenance import provenance
 
 _DROPPED: tuple[Any, ...] = (("next", "history"), "reward_terms", "episode_reward", ("next", "command"))
 # Neither GAE nor the losses read these; the next history alone would be a third of a batch.
@@ -128,7 +129,7 @@ class Trainer:
             on_iteration: called with each iteration's metrics.
         """
         config = self.config
-        _write_json(self.run / "config.json", config.to_dict())
+        write_json(self.run / "config.json", config.to_dict())
         self.save()
         policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
         collector = Collector(
@@ -196,7 +197,8 @@ class Trainer:
         return metrics
 
     def save(self) -> None:
-        """Writes the checkpoint: config, learner, curriculum, counters."""
+        """Writes the checkpoint (config, learner, curriculum, counters) and where it comes from."""
+        write_json(self.run / "run.json", provenance(self.config, self.frames, self.seconds))
         save_checkpoint(
             self.run / NAME,
             {
@@ -223,7 +225,7 @@ def _drop(batch: TensorDictBase, keys: tuple[Any, ...]) -> TensorDictBase:
     return batch.exclude(*keys)
 
 
-def _write_json(path: Path, value: Any) -> None:
+def write_json(path: Path, value: Any) -> None:
     temporary = path.with_suffix(".tmp")
     temporary.write_text(json.dumps(value, indent=2) + "\n")
     os.replace(temporary, path)

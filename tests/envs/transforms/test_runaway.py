@@ -1,0 +1,44 @@
+"""Runaway termination: the bound follows the curriculum's frontier, and only runaways end."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from torchrl_atr.envs import make_riding_env
+from torchrl_atr.envs.transforms import CommandCurriculum, RunawayTermination
+
+
+def step(transform: RunawayTermination, speeds: list[list[float]], terminated: list[bool]) -> torch.Tensor:
+    flags = torch.tensor(terminated).unsqueeze(-1)
+    after = TensorDict({"speeds": torch.tensor(speeds), "terminated": flags, "done": flags.clone()}, [len(speeds)])
+    out = transform._step(after, after)
+    assert torch.equal(out["done"], out["terminated"])
+    return out["terminated"].squeeze(-1)
+
+
+def test_only_rows_beyond_the_frontier_and_the_margin_end():
+    curriculum = CommandCurriculum((0.16, 0.16), seed=0)  # frontier 0.5 m/s, 0.3 rad/s
+    transform = RunawayTermination(curriculum, (2.0, 1.0))
+    speeds = [[2.4, 0.0], [2.6, 0.0], [-2.6, 0.0], [0.0, 1.2], [0.0, -1.4], [0.0, 0.0]]
+    ended = step(transform, speeds, [False] * 5 + [True])
+    assert ended.tolist() == [False, True, True, False, True, True]
+    curriculum.load_weights(torch.ones_like(curriculum.weights))  # frontier 15 m/s, 2 rad/s
+    assert not step(transform, speeds[:5], [False] * 5).any()
+
+
+def test_in_the_stack_a_runaway_ends_its_own_episode():
+    env = make_riding_env(num_envs=3, num_threads=1, seed=0, runaway_margin=(2.0, 2.0))
+    td = env.reset()
+    env.base_env.engine.speeds[1, 0] = 4.0
+    td["action"] = torch.zeros(env.action_spec.shape)
+    after, carried = env.step_and_maybe_reset(td)
+    assert after["next", "terminated"].squeeze(-1).tolist() == [False, True, False]
+    assert float(after["next", "speeds"][1, 0]) > 3.5  # the true terminal observation
+    assert carried["speeds"][1].abs().max() < 1e-6
+
+
+def test_bad_margin():
+    with pytest.raises(ValueError, match="margin must be two positive numbers"):
+        RunawayTermination(CommandCurriculum((0.16, 0.16), seed=0), (0.0, 1.0))
