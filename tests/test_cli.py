@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from torchrl_atr.cli import main
@@ -45,6 +47,23 @@ def test_bad_input_is_one_message_and_exit_code_2(capsys, tmp_path, monkeypatch,
     assert message in error
     assert len(error.strip().splitlines()) <= 3
     assert not list(tmp_path.iterdir())
+
+
+def test_train_evaluate_resume(tmp_path, capsys):
+    run, report = tmp_path / "run", tmp_path / "report"
+    tiny = ["--num-envs", "4", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
+    assert main(["train", *tiny, "--total-frames", "32", "--output", str(run)]) == 0
+    grid = ["--max-speed", "1", "--speed-step", "1", "--max-yaw-rate", "0", "--robots-per-command", "1"]
+    assert main(["evaluate", str(run), *grid, "--output", str(report)]) == 0
+    assert "do nothing" in capsys.readouterr().out
+    metrics = json.loads((report / "metrics.json").read_text())
+    assert metrics["n"] == 3
+    assert metrics["run"]["frames"] == 32
+    assert set(metrics["policy_reads"]) == {"history", "observation"}
+    names = {"metrics.json", "tracking.npz", "heatmaps.png", "learning_curves.png", "curriculum.png"}
+    assert names <= {file.name for file in report.iterdir()}
+    assert main(["train", "--resume", str(run), "--total-frames", "48"]) == 0
+    assert json.loads((run / "run.json").read_text())["frames"] == 48
 
 
 def test_unknown_command_is_argparse_exit_2():

@@ -106,7 +106,8 @@ class Learner:
         for _ in range(self.config.epochs):
             for minibatch in self.buffer:
                 terms = self.loss.policy_loss(minibatch)
-                self.schedule.step(terms["kl_approx"].detach().abs())
+                # E[r - 1 - log r]: never negative, and far less noisy than E[-log r] alone
+                self.schedule.step((terms["kl_approx"] + terms["mean_ratio"] - 1.0).detach().abs())
                 self._step(terms, "policy", "critic")
                 yield terms
 

@@ -19,8 +19,7 @@ from torchrl_atr.envs.profiles import Readings
 class RidingPhysics(Physics):
     """A dm_control ``Physics`` whose every step obeys the drive law, whoever calls it.
 
-    A simulation that diverges does not raise ``PhysicsError``: MuJoCo resets it, ``engine.diverged`` says so,
-        and the
+    A simulation that diverges does not raise ``PhysicsError``: MuJoCo resets it, ``engine.diverged`` says so, and the
     task ends the episode. Made by :class:`DmControlEngine`; a ``copy()`` renders but does not step.
 
     Attributes:
