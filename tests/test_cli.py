@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import mujoco
 import pytest
 
 from torchrl_atr.cli import main
@@ -33,7 +34,10 @@ def test_list(capsys, what, expected):
         (["train", "--estimator", "oracle"], "oracle"),
         (["train", "--set", "gama=1"], "unknown setting 'gama'"),
         (["train", "--set", "gamma=2"], "gamma=2.0 is out of range"),
-        (["train", "--import", "no_such_module"], "no_such_module"),
+        (["train", "--import", "no_such_module"], "cannot import 'no_such_module'"),
+        (["train", "--device", "abacus"], "device='abacus' is unknown; use 'cpu' or 'cuda'"),
+        (["train", "--set", "episode_seconds=2"], "must be at least command_seconds=5"),
+        (["model", "a1", "sled", "--output", "x.xml"], "unknown transporter 'sled'"),
         (["train", "--config", "nowhere.toml"], "no configuration file nowhere.toml"),
         (["train", "--resume", "nowhere"], "there is no checkpoint at nowhere"),
         (["evaluate", "nowhere"], "there is no checkpoint at nowhere"),
@@ -64,6 +68,36 @@ def test_train_evaluate_resume(tmp_path, capsys):
     assert names <= {file.name for file in report.iterdir()}
     assert main(["train", "--resume", str(run), "--total-frames", "48"]) == 0
     assert json.loads((run / "run.json").read_text())["frames"] == 48
+
+
+def test_a_run_is_not_overwritten_and_a_resumed_one_keeps_its_settings(tmp_path, capsys):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "checkpoint.pt").touch()
+    assert main(["train", "--output", str(run)]) == 2
+    assert "holds a run; give another --output" in capsys.readouterr().err
+    assert main(["train", "--resume", str(run), "--seed", "5", "--set", "gamma=0.9"]) == 2
+    assert "--seed, --set: a resumed run keeps its settings" in capsys.readouterr().err
+    assert (run / "checkpoint.pt").stat().st_size == 0
+
+
+def test_an_estimator_of_ones_own_trains_from_the_command_line(tmp_path, monkeypatch):
+    (tmp_path / "my_estimators.py").write_text(
+        "from torchrl_atr.modules import get_estimator, register_estimator\n"
+        "register_estimator('mine', lambda history_shape, out_features: get_estimator('mlp')(history_shape, out_features))\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    tiny = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
+    arguments = ["train", *tiny, "--total-frames", "8", "--import", "my_estimators", "--estimator", "mine"]
+    assert main([*arguments, "--output", "run"]) == 0
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["imports"] == ["my_estimators"]
+
+
+def test_model_writes_a_scene_that_mujoco_opens(tmp_path):
+    path = tmp_path / "scene.xml"
+    assert main(["model", "a1", "single_board", "--output", str(path)]) == 0
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.key("stand").qpos.shape == (model.nq,)
 
 
 def test_unknown_command_is_argparse_exit_2():

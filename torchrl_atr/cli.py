@@ -1,9 +1,8 @@
-"""``torchrl-atr``: train | evaluate | play | list."""
+"""``torchrl-atr``: train | evaluate | play | model | list."""
 
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrl_atr import __version__
+from torchrl_atr._errors import UserError
 
 _DEFAULT_RUN = Path("runs/latest")
 _HEADLINES = (
@@ -33,6 +33,7 @@ _SETTINGS = (
     "device",
 )
 """Settings that have an option of their own."""
+_RESUMABLE = ("total_frames", "max_minutes")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -43,6 +44,10 @@ def build_parser() -> argparse.ArgumentParser:
     _add_train(commands.add_parser("train", help="learn to ride; go on from a run with --resume"))
     _add_evaluate(commands.add_parser("evaluate", help="measure the deployed policy over a grid of commands"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
+    model = commands.add_parser("model", help="write a robot on its transporter as one MJCF file")
+    model.add_argument("robot")
+    model.add_argument("transporter")
+    model.add_argument("--output", type=Path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer")
     listing = commands.add_parser("list", help="list what is registered")
     listing.add_argument("what", choices=sorted(_LISTINGS))
     return parser
@@ -62,7 +67,8 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device")
     parser.add_argument("--config", type=Path, metavar="FILE", help=".toml or .json with any setting")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--output", type=Path, default=_DEFAULT_RUN, metavar="RUN", help="the run folder")
+    parser.add_argument("--output", type=Path, metavar="RUN", help=f"the run folder; default: {_DEFAULT_RUN}")
+    parser.add_argument("--overwrite", action="store_true", help="replace a run in that folder")
     parser.add_argument("--resume", type=Path, metavar="RUN", help="go on from this run's checkpoint")
 
 
@@ -87,26 +93,31 @@ def _add_play(parser: argparse.ArgumentParser) -> None:
 
 def train(arguments: argparse.Namespace) -> None:
     """``torchrl-atr train``."""
-    from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config, read_config
+    from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
+    from torchrl_atr.training.checkpoint import NAME
 
     if arguments.resume is not None:
-        state = load_checkpoint(arguments.resume)
-        values = dict(state["config"])
-        for name in ("total_frames", "max_minutes"):
-            if getattr(arguments, name) is not None:
-                values[name] = getattr(arguments, name)
-        Trainer(make_config(values), arguments.resume, state).train()
+        _resume(arguments)
         return
+    output = arguments.output or _DEFAULT_RUN
+    if (output / NAME).exists() and not arguments.overwrite:
+        raise ConfigError(f"{output} holds a run; give another --output, --resume {output}, or --overwrite")
     values = read_config(arguments.config) if arguments.config else {}
     values |= {name: getattr(arguments, name) for name in _SETTINGS if getattr(arguments, name) is not None}
-    config = make_config(values, arguments.overrides)
-    for module in config.imports:
-        try:
-            importlib.import_module(module)
-        except ImportError as error:
-            raise ConfigError(f"--import {module}: {error}") from error
-    config.check_estimator_name()
-    Trainer(config, arguments.output).train()
+    Trainer(make_config(values, arguments.overrides), output).train()
+
+
+def _resume(arguments: argparse.Namespace) -> None:
+    from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config
+
+    fixed = [name for name in (*_SETTINGS, "config", "output") if getattr(arguments, name) is not None]
+    fixed = [name for name in fixed if name not in _RESUMABLE] + (["set"] if arguments.overrides else [])
+    if fixed:
+        names = ", ".join(f"--{name.replace('_', '-')}" for name in fixed)
+        raise ConfigError(f"{names}: a resumed run keeps its settings; only --total-frames and --max-minutes may change")
+    state = load_checkpoint(arguments.resume)
+    changed = {name: getattr(arguments, name) for name in _RESUMABLE if getattr(arguments, name) is not None}
+    Trainer(make_config({**state["config"], **changed}), arguments.resume, state).train()
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
@@ -114,29 +125,22 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from functools import partial
 
     from torchrl_atr.evaluation import command_grid, evaluate_tracking, figures, tracking_metrics, write_report
-    from torchrl_atr.training import load_run, make_env
-    from torchrl_atr.training.provenance import provenance
+    from torchrl_atr.training import DEPLOYED, load_run, make_env
 
     config, env, networks, state = load_run(arguments.run, num_envs=1)
     env.close()
     result = evaluate_tracking(
         networks.deployed_policy(),
-        partial(
-            make_env,
-            config,
-            randomization=arguments.randomization,
-            moving_start=0.0,
-            pushes=False,
-            runaway_margin=None,
-        ),
+        partial(make_env, config, randomization=arguments.randomization, **DEPLOYED),
         command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
         robots_per_command=arguments.robots_per_command,
         seed=arguments.seed,
         encoder_module=networks.encoder_module,
+        progress=_show_steps,
     )
     metrics = tracking_metrics(result)
     metrics["evaluation"] = {"seed": arguments.seed, "randomization": arguments.randomization}
-    metrics["run"] = provenance(config, state["frames"], state["seconds"])
+    metrics["run"] = state["provenance"]
     output = arguments.output or arguments.run
     write_report(result, metrics, output)
     if (arguments.run / "progress.csv").is_file():
@@ -145,6 +149,12 @@ def evaluate(arguments: argparse.Namespace) -> None:
     figures.plot_curriculum(weights, env.transform[0].grid.bounds, output / "curriculum.png")
     _print_figures(metrics)
     sys.stdout.write(f"report in {output}\n")
+
+
+def _show_steps(done: int, total: int) -> None:
+    if done % 50 == 0 or done == total:
+        sys.stdout.write(f"\revaluating: {done} of {total} control steps" + ("\n" if done == total else ""))
+        sys.stdout.flush()
 
 
 def _print_figures(metrics: dict[str, Any]) -> None:
@@ -159,17 +169,25 @@ def _print_figures(metrics: dict[str, Any]) -> None:
 def play(arguments: argparse.Namespace) -> None:
     """``torchrl-atr play``."""
     from torchrl_atr.evaluation import play_viewer, record_video
-    from torchrl_atr.training import load_run
+    from torchrl_atr.training import DEPLOYED, load_run
 
-    _, env, networks, _ = load_run(
-        arguments.run, num_envs=1, seed=arguments.seed, moving_start=0.0, pushes=False, runaway_margin=None
-    )
+    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, **DEPLOYED)
     policy = networks.deployed_policy()
     if arguments.video is None:
         play_viewer(policy, env)
     else:
         record_video(policy, env, arguments.video, seconds=arguments.seconds)
         sys.stdout.write(f"wrote {arguments.video}\n")
+
+
+def write_model(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr model``."""
+    from torchrl_atr.envs import ROBOTS, TRANSPORTERS, Readings
+    from torchrl_atr.envs.models import scene_spec
+
+    spec = scene_spec(ROBOTS.get(arguments.robot), TRANSPORTERS.get(arguments.transporter), Readings())
+    arguments.output.write_text(spec.to_xml())
+    sys.stdout.write(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter\n")
 
 
 def _list(arguments: argparse.Namespace) -> None:
@@ -214,7 +232,7 @@ _LISTINGS = {
     "estimators": _estimators,
     "rewards": _rewards,
 }
-_COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play, "list": _list}
+_COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play, "model": write_model, "list": _list}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -226,22 +244,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         return 130
-    except (ValueError, KeyError, OSError, RuntimeError) as error:
-        if not _is_ours(error):
-            raise
-        message = error.args[0] if isinstance(error, KeyError) and error.args else error
-        sys.stderr.write(f"torchrl-atr {arguments.command}: {message}\n")
+    except (UserError, OSError, ImportError) as error:
+        sys.stderr.write(f"torchrl-atr {arguments.command}: {error}\n")
         return 2
     return 0
-
-
-def _is_ours(error: BaseException) -> bool:
-    """Whether the message was written for the user: it was raised by this package, not deep inside a library."""
-    traceback = error.__traceback__
-    while traceback is not None and traceback.tb_next is not None:
-        traceback = traceback.tb_next
-    module = traceback.tb_frame.f_globals.get("__name__", "") if traceback is not None else ""
-    return module.startswith("torchrl_atr") or isinstance(error, OSError)
 
 
 if __name__ == "__main__":

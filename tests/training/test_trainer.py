@@ -35,11 +35,14 @@ def test_the_folder_is_readable(run):
     assert all(torch.isfinite(torch.tensor(list(m.values()))).all() for m in metrics)
 
 
-def test_the_checkpoint_restores_the_deployed_policy_bit_for_bit(run):
-    folder, _ = run
+def test_the_checkpoint_restores_the_deployed_policy_bit_for_bit(tmp_path):
+    trainer = Trainer(make_config({**TINY, "total_frames": 64}), tmp_path / "run")
+    trainer.train()
+    _, env, restored, _ = load_run(tmp_path / "run", num_envs=4, seed=3)
     actions = []
-    for _ in range(2):
-        _, env, networks, _ = load_run(folder, num_envs=4, seed=3)
+    for networks in (trainer.learner.networks, restored):
+        env.base_env.set_seed(3)
+        env.transform[0].set_seed(3)
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             actions.append(env.rollout(3, networks.deployed_policy())["action"])
     assert torch.equal(*actions)
@@ -48,11 +51,14 @@ def test_the_checkpoint_restores_the_deployed_policy_bit_for_bit(run):
 def test_resume_goes_on_where_the_run_stopped(run):
     folder, _ = run
     state = load_checkpoint(folder)
+    state["curriculum"]["weights"][3, 4] = 0.625  # so that forgetting to restore it would show
     config = make_config({**state["config"], "total_frames": 5 * 64})
     trainer = Trainer(config, folder, state)
     moments = state["learner"]["optimizers"]["policy"]["state"][0]["exp_avg"]
     assert torch.equal(trainer.learner.optimizers["policy"].state_dict()["state"][0]["exp_avg"], moments)
     assert torch.equal(trainer.curriculum.weights, state["curriculum"]["weights"])
+    assert trainer.learner.schedule.get_last_lr() == [state["learner"]["optimizers"]["policy"]["param_groups"][0]["lr"]]
+    assert torch.equal(trainer.env.base_env.rng.get_state(), state["env_rng"])
     trainer.train()
     with (folder / "progress.csv").open() as file:
         assert [int(float(row["frames"])) for row in csv.DictReader(file)] == [64, 128, 192, 256, 320]

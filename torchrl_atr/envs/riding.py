@@ -81,7 +81,10 @@ class RidingEnv(EnvBase):
         readings = get_readings(profile)
         scene = build_scene(ROBOTS.get(robot), TRANSPORTERS.get(transporter), readings)
         self.rng = torch.Generator()
-        self.set_seed(seed if seed is not None else int(torch.randint(2**31, ())))
+        if seed is None:
+            self.rng.seed()  # from the operating system: forked workers must not share intrinsics
+        else:
+            self.set_seed(seed)
         engine = _make_engine(physics, scene, readings, num_envs, num_threads)
         self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start)
         self._emitted = self.task.observe(torch.zeros(num_envs, len(COMMAND_FEATURES)))

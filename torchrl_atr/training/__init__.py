@@ -3,9 +3,10 @@
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig, make_config, read_config
 from torchrl_atr.training.learner import Learner
-from torchrl_atr.training.trainer import Trainer, load_run, make_env, make_run_networks
+from torchrl_atr.training.trainer import DEPLOYED, Trainer, load_run, make_env, make_run_networks
 
 __all__ = [
+    "DEPLOYED",
     "CheckpointError",
     "ConfigError",
     "Learner",

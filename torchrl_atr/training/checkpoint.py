@@ -9,11 +9,13 @@ from typing import Any
 
 import torch
 
+from torchrl_atr._errors import UserError
+
 VERSION = 1
 NAME = "checkpoint.pt"
 
 
-class CheckpointError(RuntimeError):
+class CheckpointError(UserError, RuntimeError):
     """A checkpoint that is missing, damaged, or from another version."""
 
 

@@ -10,12 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
+from torchrl_atr._errors import UserError
 from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
 from torchrl_atr.envs.profiles import PROFILES
-from torchrl_atr.modules import SOURCES, Source, get_estimator
+from torchrl_atr.modules import SOURCES, Source
 
 
-class ConfigError(ValueError):
+class ConfigError(UserError, ValueError):
     """A configuration that names something unknown or holds an impossible value."""
 
 
@@ -120,16 +123,14 @@ class TrainConfig:
                 f"score_from_seconds={self.score_from_seconds:g} must be below "
                 f"command_seconds={self.command_seconds:g}: nothing would be left to score"
             )
+        if self.episode_seconds < self.command_seconds:
+            raise ConfigError(
+                f"episode_seconds={self.episode_seconds:g} must be at least command_seconds={self.command_seconds:g}: "
+                "no command would ever be scored"
+            )
+        _check_device(self.device)
         if self.min_std >= self.init_std:
             raise ConfigError(f"min_std={self.min_std:g} must be below init_std={self.init_std:g}")
-
-    def check_estimator_name(self) -> None:
-        """Looks the estimator up; separate, since ``imports`` must have run before.
-
-        Raises:
-            KeyError: for an unknown name; lists those registered.
-        """
-        get_estimator(self.estimator)
 
     @property
     def frames_per_batch(self) -> int:
@@ -139,6 +140,15 @@ class TrainConfig:
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""
         return json.loads(json.dumps(dataclasses.asdict(self)))
+
+
+def _check_device(name: str) -> None:
+    try:
+        kind = torch.device(name).type
+    except RuntimeError as error:
+        raise ConfigError(f"device={name!r} is unknown; use 'cpu' or 'cuda'") from error
+    if kind == "cuda" and not torch.cuda.is_available():
+        raise ConfigError(f"device={name!r}: torch finds no CUDA device here; use 'cpu'")
 
 
 _POSITIVE = 1e-12
@@ -183,6 +193,13 @@ _RANGES: dict[str, tuple[float, float]] = {
 }
 
 
+PROFILE_RECIPES: dict[str, dict[str, Any]] = {
+    "literal": {"act_source": "privileged"},
+    "ancestor": {"act_source": "privileged", "init_std": 1.0, "noise_correlation": 0.0, "anneal_from": 0.99},
+}
+"""What a profile changes in the recipe (A24 and the ancestors' exploration), unless the user sets it."""
+
+
 def make_config(values: dict[str, Any] | None = None, overrides: list[str] | None = None) -> TrainConfig:
     """A configuration from a mapping and ``key=value`` strings, the latter winning.
 
@@ -198,6 +215,8 @@ def make_config(values: dict[str, Any] | None = None, overrides: list[str] | Non
         0.9
     """
     merged = dict(values or {})
+    recipe = PROFILE_RECIPES.get(str(merged.get("profile", "default")), {})
+    merged = {**recipe, **merged}
     for text in overrides or []:
         key, separator, value = text.partition("=")
         if not separator:

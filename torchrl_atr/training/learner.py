@@ -106,8 +106,7 @@ class Learner:
         for _ in range(self.config.epochs):
             for minibatch in self.buffer:
                 terms = self.loss.policy_loss(minibatch)
-                # E[r - 1 - log r]: never negative, and far less noisy than E[-log r] alone
-                self.schedule.step((terms["kl_approx"] + terms["mean_ratio"] - 1.0).detach().abs())
+                self.schedule.step(terms["kl_approx"].detach().abs())
                 self._step(terms, "policy", "critic")
                 yield terms
 

@@ -7,6 +7,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from torchrl_atr.envs.task.rewards import KERNEL_WIDTH
+from torchrl_atr.envs.task.state import CONTROL_DT
 
 _TRACKING = {"speed_error": "forward_command", "yaw_error": "steering_command"}
 
@@ -20,9 +21,10 @@ def batch_metrics(batch: TensorDictBase, tracking_max: dict[str, float]) -> dict
 
     Returns:
         ``speed_error`` (m/s) and ``yaw_error`` (rad/s), recovered from the tracking rewards; the same for the robots
-        that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw rate that is
-        reached; ``episode_length`` (steps) and ``episode_reward`` of finished episodes where there are any;
-        ``falls``, terminations per robot and second; ``reward/...`` means of the terms.
+        that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw rate
+        that is reached (moving starts give an untrained rider some); ``episode_length`` (steps) and ``episode_reward`` of finished episodes where there are any;
+        ``falls``, terminations per robot and second, runaways
+        included; ``reward/...`` means of the terms.
     """
     after = batch["next"]
     metrics = {}
@@ -34,7 +36,7 @@ def batch_metrics(batch: TensorDictBase, tracking_max: dict[str, float]) -> dict
             metrics[f"student_{name}"] = float(error[student].mean())
     metrics["yaw_gain"] = _regression_gain(batch["command"][..., 1], after["speeds"][..., 1])
     metrics["reward"] = float(after["reward"].mean())
-    metrics["falls"] = float(after["terminated"].float().mean())
+    metrics["falls"] = float(after["terminated"].float().mean()) / CONTROL_DT
     done = after["done"].squeeze(-1)
     if done.any():
         metrics["episode_length"] = float(after["step_count"].squeeze(-1)[done].float().mean())
@@ -45,5 +47,5 @@ def batch_metrics(batch: TensorDictBase, tracking_max: dict[str, float]) -> dict
 
 
 def _regression_gain(command: Tensor, yaw_rate: Tensor) -> float:
-    """Σ c_ω ω / Σ c_ω²: 0 for a board that never turns, 1 for perfect steering."""
+    """Σ c_ω ω / Σ c_ω²: 1 for perfect steering."""
     return float((command * yaw_rate).sum() / command.square().sum().clamp_min(1e-6))

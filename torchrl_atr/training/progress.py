@@ -35,18 +35,19 @@ class Progress:
     Args:
         run: the run folder.
         config: for time and frames left.
-        resume: append to the folder's logs instead of starting them anew.
+        resume_from: frames of the checkpoint that the run goes on from; later rows of its log are dropped. None for a
+            new run.
     """
 
-    def __init__(self, run: Path, config: TrainConfig, resume: bool = False) -> None:
+    def __init__(self, run: Path, config: TrainConfig, resume_from: int | None = None) -> None:
         self.run, self.config = run, config
         self._csv_path = run / "progress.csv"
-        if not resume:
-            self._csv_path.unlink(missing_ok=True)
         self._fields: list[str] = []
-        if resume and self._csv_path.is_file():
-            with self._csv_path.open() as file:
-                self._fields = next(csv.reader(file), [])
+        self._purge_step = resume_from
+        if resume_from is None:
+            self._csv_path.unlink(missing_ok=True)
+        elif self._csv_path.is_file():
+            self._fields = self._keep_rows(resume_from)
         self._shown: dict[str, float] = {}
         self._last_line = 0.0
         self._live: Any = None
@@ -55,7 +56,7 @@ class Progress:
     def __enter__(self) -> Progress:
         from torch.utils.tensorboard import SummaryWriter  # heavy: only where a run starts
 
-        self._writer = SummaryWriter(str(self.run / "tensorboard"))
+        self._writer = SummaryWriter(str(self.run / "tensorboard"), purge_step=self._purge_step)
         if sys.stdout.isatty():
             from rich.live import Live
 
@@ -82,7 +83,19 @@ class Progress:
             sys.stdout.write(self._line() + "\n")
             sys.stdout.flush()
 
-    def _append(self, metrics: dict[str, float]) -> None:
+    def _keep_rows(self, frames: int) -> list[str]:
+        """Drops the rows of iterations that the checkpoint has not seen; returns the columns."""
+        with self._csv_path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            rows = [row for row in reader if float(row["frames"]) <= frames]
+            columns = list(reader.fieldnames or [])
+        with self._csv_path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, columns)
+            writer.writeheader()
+            writer.writerows(rows)
+        return columns
+
+    def _append(, metrics: dict[str, float]) -> None:
         fresh = not self._fields
         if fresh:
             # a metric that the first batch lacks (no episode had ended) still gets its column

@@ -5,8 +5,9 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,9 @@ from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.rewards import MAX_TRACKING
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import RidingNetworks, correlate, make_networks
-from torchrl_atr.training.checkpoint import NAME, load_checkpoint, save_checkpoint
-from torchrl_atr.training.config import TrainConfig, make_config
+from torchrl_atr.modules import RidingNetworks, correlate, get_estimator, make_networks
+from torchrl_atr.training.checkpoint import NAME, CheckpointError, load_checkpoint, save_checkpoint
+from torchrl_atr.training.config import ConfigError, TrainConfig, make_config
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.progress import Progress
@@ -30,6 +31,8 @@ from torchrl_atr.training.provenance import provenance
 
 _DROPPED: tuple[Any, ...] = (("next", "history"), "reward_terms", "episode_reward", ("next", "command"))
 # Neither GAE nor the losses read these; the next history alone would be a third of a batch.
+DEPLOYED: dict[str, Any] = {"moving_start": 0.0, "pushes": False, "runaway_margin": None, "max_steps": 2**31 - 1}
+"""Env arguments without what belongs to training only: a ride from rest that nothing but a fall ends."""
 
 
 def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
@@ -58,16 +61,27 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
     return make_riding_env(**{**arguments, **overrides})
 
 
+def import_modules(names: Sequence[str]) -> None:
+    """Imports user modules, so that they register their estimators; the working directory counts, as for ``python -m``.
+
+    Raises:
+        ConfigError: if one cannot be imported.
+    """
+    if names and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    for name in names:
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            raise ConfigError(f"cannot import {name!r} ({error}); run where it can be found") from error
+
+
 def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
     """The networks that a configuration describes, sized by the env's specs.
 
     Raises:
-        KeyError: for an unregistered estimator.
-        ImportError: if one of ``config.imports`` cannot be imported.
+        UnknownNameError: for an unregistered estimator.
     """
-    for module in config.imports:
-        importlib.import_module(module)
-    config.check_estimator_name()
     return make_networks(
         env.observation_spec,
         env.action_spec,
@@ -90,9 +104,13 @@ def load_run(run: Path, **env_overrides: Any) -> tuple[TrainConfig, TransformedE
     """
     state = load_checkpoint(run)
     config = make_config(state["config"])
+    import_modules(config.imports)
     env = make_env(config, **env_overrides)
     networks = make_run_networks(config, env)
-    networks.load_state_dict(state["learner"]["networks"])
+    try:
+        networks.load_state_dict(state["learner"]["networks"])
+    except RuntimeError as error:
+        raise CheckpointError(f"the networks in {run} do not fit this code's: {error}") from error
     return config, env, networks, state
 
 
@@ -107,20 +125,22 @@ class Trainer:
 
     def __init__(self, config: TrainConfig, run: Path, state: dict[str, Any] | None = None) -> None:
         self.config, self.run = config, run
+        import_modules(config.imports)
+        get_estimator(config.estimator)  # an unknown name is refused before anything is written
         run.mkdir(parents=True, exist_ok=True)
         torch.manual_seed(config.seed)
         self.env = make_env(config)
         self.curriculum = self.env.transform[0]
         scale = CONTROL_DT if self.env.base_env.readings.rewards_times_dt else 1.0
         self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
-        networks = make_run_networks(config, self.env).to(config.device)
+        networks = make_run_networks(config, self.env)
         with torch.no_grad():
             networks.update_normalizers(self.env.rollout(config.rollout_steps))
-        self.learner = Learner(networks, config)
+        self.learner = Learner(networks.to(config.device), config)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
         if state is not None:
             self._restore(state)
-        self.progress = Progress(run, config, resume=state is not None)
+        self.progress = Progress(run, config, resume_from=self.frames if state is not None else None)
 
     def train(self, on_iteration: Callable[[dict[str, float]], None] | None = None) -> None:
         """Trains until ``total_frames`` or ``max_minutes``, saving a checkpoint first, now and then, and last.
@@ -138,6 +158,9 @@ class Trainer:
             frames_per_batch=config.frames_per_batch,
             total_frames=-1,
             exploration_type=ExplorationType.RANDOM,
+            policy_device=config.device,
+            env_device="cpu",
+            storing_device="cpu",
             postproc=partial(_drop, keys=_DROPPED),
             auto_register_policy_transforms=False,
         )
@@ -155,9 +178,11 @@ class Trainer:
                     if time.monotonic() - saved > config.checkpoint_seconds:
                         self.save()
                         saved = time.monotonic()
+        except KeyboardInterrupt:
+            sys.stdout.write(f"stopped; go on with: torchrl-atr train --resume {self.run}\n")
         finally:
             collector.shutdown(close_env=False)
-        self.save()
+            self.save()
 
     @property
     def progress_made(self) -> float:
@@ -198,7 +223,8 @@ class Trainer:
 
     def save(self) -> None:
         """Writes the checkpoint (config, learner, curriculum, counters) and where it comes from."""
-        write_json(self.run / "run.json", provenance(self.config, self.frames, self.seconds))
+        origin = provenance(self.config, self.frames, self.seconds)
+        write_json(self.run / "run.json", origin)
         save_checkpoint(
             self.run / NAME,
             {
@@ -209,6 +235,8 @@ class Trainer:
                 "iteration": self.iteration,
                 "seconds": self.seconds,
                 "rng": torch.get_rng_state(),
+                "env_rng": self.env.base_env.rng.get_state(),
+                "provenance": origin,
             },
         )
 
@@ -219,6 +247,7 @@ class Trainer:
         self.frames, self.iteration = state["frames"], state["iteration"]
         self.seconds = state["seconds"]
         torch.set_rng_state(state["rng"])
+        self.env.base_env.rng.set_state(state["env_rng"])
 
 
 def _drop(batch: TensorDictBase, keys: tuple[Any, ...]) -> TensorDictBase:

@@ -158,6 +158,9 @@ def test_zero_action_stands():
 
 def test_scene_is_a_file_that_mujoco_opens():
     xml = scene_spec(A1, BOARD, Readings()).to_xml()
+    loaded = mujoco.MjModel.from_xml_string(xml)
+    assert loaded.key("stand").id == 0
+    np.testing.assert_allclose(loaded.key_qpos[0], build_scene(A1, BOARD).model.key_qpos[0], atol=1e-5)
     assert mujoco.MjModel.from_xml_string(xml).nu == 12
 
 

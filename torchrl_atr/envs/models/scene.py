@@ -72,18 +72,12 @@ def build_scene(robot: RobotSpec, transporter: TransporterSpec, readings: Readin
         >>> scene.model.nu
         12
     """
-    spec = scene_spec(robot, transporter, readings or Readings())
-    model = spec.compile()
-    layout = _layout(model, robot)
-    qpos = _standing_qpos(model, layout, robot, transporter)
-    key = spec.add_key(name="stand", qpos=qpos, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
-    key.qvel = np.zeros(model.nv)
-    model = spec.compile()
-    return Scene(robot, transporter, model, layout)
+    model = scene_spec(robot, transporter, readings or Readings()).compile()
+    return Scene(robot, transporter, model, _layout(model, robot))
 
 
 def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> mujoco.MjSpec:
-    """The editable scene, before compilation (its ``to_xml()`` opens in ``python -m mujoco.viewer``)."""
+    """The editable scene with its keyframe ``stand``; ``to_xml()`` of it opens in ``python -m mujoco.viewer``."""
     if not robot.mjcf.is_file():
         raise FileNotFoundError(f"robot {robot.name!r}: there is no MJCF file at {robot.mjcf}")
     spec = mujoco.MjSpec.from_file(str(robot.mjcf))
@@ -93,6 +87,11 @@ def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Reading
     robot_mass = float(mujoco.mj_getTotalmass(mujoco.MjModel.from_xml_path(str(robot.mjcf))))
     _add_single_board(spec, transporter, readings, _ARMATURE_RATIO * robot_mass)
     _add_sensors(spec, robot)
+    model = spec.compile()
+    layout = _layout(model, robot)
+    qpos = _standing_qpos(model, layout, robot, transporter)
+    key = spec.add_key(name="stand", qpos=qpos, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
+    key.qvel = np.zeros(model.nv)
     return spec
 
 

@@ -53,7 +53,7 @@ def initial_speeds(commands: Array, moving_start: float, generator: torch.Genera
 
 
 def initial_state(scene: Scene, n: int, generator: torch.Generator, speeds: Array | None = None) -> tuple[Array, Array]:
-    """The standing pose with slightly randomised height and joint angles, at rest on its transporter.
+    """The standing pose with slightly randomised height and joint angles, not moving relative to its transporter.
 
     Args:
         scene: keyframe 0 is the standing pose.
