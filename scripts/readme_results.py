@@ -28,9 +28,9 @@ def section(folder: Path) -> str:
     hardware = run["hardware"]
     lines += [
         "",
-        f"`{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on {hardware['cpus']} cores "
-        f"({hardware['processor']}), then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh intrinsics of "
-        f"the training range, proprioception only. Everything is in [{path}]({path}).",
+        f"`{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on {hardware['cpus']} "
+        f"cores ({hardware['processor']}), then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh "
+        f"intrinsics of the training range, proprioception only. Everything is in [{path}]({path}).",
     ]
     return "\n".join(lines)
 

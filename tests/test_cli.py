@@ -83,8 +83,7 @@ def test_a_run_is_not_overwritten_and_a_resumed_one_keeps_its_settings(tmp_path,
 
 def test_an_estimator_of_ones_own_trains_from_the_command_line(tmp_path, monkeypatch):
     (tmp_path / "my_estimators.py").write_text(
-        "from torchrl_atr.modules import get_estimator, register_estimator\n"
-        "register_estimator('mine', lambda history_shape, out_features: get_estimator('mlp')(history_shape, out_features))\n"
+        "from torchrl_atr.modules import MLPEstimator, register_estimator\nregister_estimator('mine', MLPEstimator)\n"
     )
     monkeypatch.chdir(tmp_path)
     tiny = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]

@@ -114,7 +114,7 @@ def _resume(arguments: argparse.Namespace) -> None:
     fixed = [name for name in fixed if name not in _RESUMABLE] + (["set"] if arguments.overrides else [])
     if fixed:
         names = ", ".join(f"--{name.replace('_', '-')}" for name in fixed)
-        raise ConfigError(f"{names}: a resumed run keeps its settings; only --total-frames and --max-minutes may change")
+        raise ConfigError(f"{names}: a resumed run keeps its settings, --total-frames and --max-minutes excepted")
     state = load_checkpoint(arguments.resume)
     changed = {name: getattr(arguments, name) for name in _RESUMABLE if getattr(arguments, name) is not None}
     Trainer(make_config({**state["config"], **changed}), arguments.resume, state).train()

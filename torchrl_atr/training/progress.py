@@ -95,7 +95,7 @@ class Progress:
             writer.writerows(rows)
         return columns
 
-    def _append(, metrics: dict[str, float]) -> None:
+    def _append(self, metrics: dict[str, float]) -> None:
         fresh = not self._fields
         if fresh:
             # a metric that the first batch lacks (no episode had ended) still gets its column

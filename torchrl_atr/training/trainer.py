@@ -255,6 +255,7 @@ def _drop(batch: TensorDictBase, keys: tuple[Any, ...]) -> TensorDictBase:
 
 
 def write_json(path: Path, value: Any) -> None:
+    """Writes ``value`` beside ``path``, then moves it into place."""
     temporary = path.with_suffix(".tmp")
     temporary.write_text(json.dumps(value, indent=2) + "\n")
     os.replace(temporary, path)
