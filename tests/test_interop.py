@@ -42,7 +42,7 @@ def test_our_env_trains_with_stock_clip_ppo():
             optimizer.zero_grad()
             sum(value for key, value in terms.items() if key.startswith("loss_")).backward()
             optimizer.step()
-            critic_losses.append(float(terms["loss_critic"]))
+            critic_losses.append(float(terms["loss_critic"].detach()))
     collector.shutdown(close_env=False)
     assert critic_losses[19] < 0.9 * critic_losses[0]
     assert critic_losses[-1] < 0.9 * critic_losses[20]
