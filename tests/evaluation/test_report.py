@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from torchrl_atr._files import atomic
 from torchrl_atr.evaluation import (
     EstimatorErrors,
     load_tracking,
@@ -13,7 +14,6 @@ from torchrl_atr.evaluation import (
     tracking_metrics,
     write_report,
 )
-from torchrl_atr.evaluation.report import atomic
 
 
 @pytest.fixture

@@ -17,8 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from torchrl_atr._files import atomic
 from torchrl_atr.evaluation.metrics import EPSILONS, command_area, do_nothing
-from torchrl_atr.evaluation.report import atomic
 from torchrl_atr.evaluation.tracking import TrackingResult
 
 Array = NDArray[np.float64]

@@ -3,35 +3,18 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from torchrl_atr._files import atomic
 from torchrl_atr.evaluation.estimators import EstimatorErrors
 from torchrl_atr.evaluation.tracking import TrackingResult
 
 _ESTIMATORS = "estimators."
-
-
-@contextmanager
-def atomic(path: str | Path) -> Iterator[Path]:
-    """A path to write to; it becomes ``path``, whole, when the block ends without an error.
-
-    The temporary file has the same suffix, since writers choose formats by it.
-    """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def write_report(result: TrackingResult, metrics: Mapping[str, Any], output_dir: str | Path) -> dict[str, Path]:

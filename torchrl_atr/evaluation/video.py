@@ -13,10 +13,10 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from torchrl_atr._files import atomic
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.evaluation.access import command_owner, platform_speeds
 from torchrl_atr.evaluation.rendering import CHASE, Picture
-from torchrl_atr.evaluation.report import atomic
 
 Command = tuple[float, float, float]
 DEFAULT_RIDE: tuple[Command, ...] = (

@@ -20,7 +20,7 @@ class StateIndependentStd(nn.Module):
 
     ``std = min_std + softplus(raw)``: unlike a clamp, which has no gradient below the floor and so keeps an
     action there for good, softplus lets exploration grow again from any value. A recipe may lower ``ceiling``
-    between iterations to anneal the exploration.
+    between iterations to anneal the exploration; while it binds, the std follows it and not its gradient.
 
     Attributes:
         ceiling (Tensor): what no std exceeds, a scalar buffer; infinite unless lowered.

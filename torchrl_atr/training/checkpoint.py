@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from torchrl_atr._errors import UserError
+from torchrl_atr._files import atomic
 
 VERSION = 1
 NAME = "checkpoint.pt"
@@ -26,13 +27,12 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
         path: of the checkpoint.
         state: nested dicts of tensors, numbers and strings.
     """
-    temporary = path.with_suffix(".tmp")
-    with temporary.open("wb") as file:
-        torch.save({"version": VERSION, **state}, file)
-        file.flush()
-        os.fsync(file.fileno())
-    load_checkpoint(temporary)
-    os.replace(temporary, path)
+    with atomic(path) as temporary:
+        with temporary.open("wb") as file:
+            torch.save({"version": VERSION, **state}, file)
+            file.flush()
+            os.fsync(file.fileno())
+        load_checkpoint(temporary)
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:

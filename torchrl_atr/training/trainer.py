@@ -17,6 +17,7 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import ExplorationType, TransformedEnv
 
+from torchrl_atr._files import atomic
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.rewards import MAX_TRACKING
 from torchrl_atr.envs.task.state import CONTROL_DT
@@ -255,7 +256,6 @@ def _drop(batch: TensorDictBase, keys: tuple[Any, ...]) -> TensorDictBase:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Writes ``value`` beside ``path``, then moves it into place."""
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(json.dumps(value, indent=2) + "\n")
-    os.replace(temporary, path)
+    """Writes ``value``, whole or not at all."""
+    with atomic(path) as file:
+        file.write_text(json.dumps(value, indent=2) + "\n")
