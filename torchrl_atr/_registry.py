@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Generic, TypeVar
 
 from torchrl_atr._errors import UserError
@@ -59,6 +58,3 @@ class Registry(Generic[T]):
     def names(self) -> tuple[str, ...]:
         """All names, in the order of registration."""
         return tuple(self._entries)
-
-    def __iter__(self) -> Iterator[T]:
-        return iter(self._entries.values())

@@ -5,30 +5,11 @@ from collections.abc import Callable
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Composite
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_atr.modules import RidingNetworks, make_networks
+from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import ROAClipPPOLoss
-
-
-@pytest.fixture
-def spec() -> Composite:
-    """A small observation spec (5 robots)."""
-    return Composite(
-        observation=Unbounded((5, 7)),
-        history=Unbounded((5, 4, 7)),
-        privileged=Composite(intrinsic=Unbounded((5, 6)), extrinsic=Unbounded((5, 3)), shape=(5,)),
-        shape=(5,),
-    )
-
-
-@pytest.fixture
-def networks(spec: Composite) -> RidingNetworks:
-    torch.manual_seed(0)
-    nets = make_networks(spec, Unbounded((5, 2)), latent_features=4, actor_cells=(16,), critic_cells=(16,))
-    nets.update_normalizers(spec.rand() * 3 + 1)
-    return nets
 
 
 @pytest.fixture

@@ -74,9 +74,6 @@ class RidingEnv(EnvBase):
     ) -> None:
         if not isinstance(num_envs, int) or num_envs < 1:
             raise ValueError(f"num_envs={num_envs!r}: choose a whole number of robots, 1 or more")
-        if randomization not in intrinsics.RANDOMIZATIONS:
-            known = ", ".join(intrinsics.RANDOMIZATIONS)
-            raise ValueError(f"unknown randomization {randomization!r}; choose one of {known}")
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
         readings = get_readings(profile)
         scene = build_scene(ROBOTS.get(robot), TRANSPORTERS.get(transporter), readings)
@@ -145,8 +142,9 @@ class RidingEnv(EnvBase):
         chosen = torch.ones(n, dtype=torch.bool) if mask is None else mask.reshape(n)
         rows = chosen.nonzero().squeeze(-1).numpy()
         if len(rows):
-            self.task.begin(rows, self._command(tensordict)[chosen])
-            fresh = self.task.observe(self._command(tensordict)[chosen], rows=rows)
+            command = self._command(tensordict)[chosen]
+            self.task.begin(rows, command)
+            fresh = self.task.observe(command, rows=rows)
             for key, value in fresh.items():
                 self._emitted[key] = self._emitted[key].masked_scatter(chosen.unsqueeze(-1), value)
         return self._pack(self._emitted, terminated=torch.zeros(n, dtype=torch.bool), terms=None)

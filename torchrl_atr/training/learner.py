@@ -53,10 +53,9 @@ class Learner:
             average_gae=True,
             shifted=True,
         )
-        critic = list(networks.critic.parameters())
         self._groups: dict[str, list[nn.Parameter]] = {
-            "policy": [p for p in networks.policy_parameters() if not any(p is q for q in critic)],
-            "critic": critic,
+            "policy": [*networks.encoder.parameters(), *networks.backbone.parameters()],
+            "critic": list(networks.critic.parameters()),
             "estimators": list(networks.estimator_parameters()),
         }
         rates = {

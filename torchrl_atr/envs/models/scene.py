@@ -168,7 +168,6 @@ def _add_single_board(spec: mujoco.MjSpec, deck: TransporterSpec, readings: Read
         joint = body.add_joint(name=name, type=hinge, axis=axis)
         joint.stiffness = [deck.sb_stiffness[gain] * readings.sb_unit, 0, 0]
         joint.damping = [deck.sb_damping[gain] * readings.sb_unit, 0, 0]
-    body.add_camera(name="chase", pos=[-1.9, -1.6, 1.0], xyaxes=[0.64, -0.77, 0, 0.30, 0.25, 0.92])
 
 
 def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:

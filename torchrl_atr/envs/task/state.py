@@ -106,16 +106,22 @@ class StateReader:
         self._joint_qpos = torch.as_tensor(layout.joint_qpos, dtype=torch.long)
         self._joint_dof = torch.as_tensor(layout.joint_dof, dtype=torch.long)
         self._actuators = torch.as_tensor(layout.actuators, dtype=torch.long)
-        self._previous = self._velocities(slice(None))
+        self._previous = self._velocities(*self._simulation(slice(None)))
 
     def forget(self, rows: Rows = slice(None)) -> None:
         """Starts the differences of ``rows`` anew from the present state (after a reset or the like)."""
-        for name, value in vars(self._velocities(rows)).items():
+        self._remember(rows, self._velocities(*self._simulation(rows)))
+
+    def _remember(self, rows: Rows, velocities: Velocities) -> None:
+        for name, value in vars(velocities).items():
             getattr(self._previous, name)[rows] = value
 
-    def _velocities(self, rows: Rows) -> Velocities:
+    def _simulation(self, rows: Rows) -> tuple[Tensor, Tensor]:
+        """``qpos`` and ``qvel`` of ``rows``, cast once."""
+        return _float(self.engine.qpos[rows]), _float(self.engine.qvel[rows])
+
+    def _velocities(self, qpos: Tensor, qvel: Tensor) -> Velocities:
         layout = self.engine.scene.layout
-        qpos, qvel = _float(self.engine.qpos[rows]), _float(self.engine.qvel[rows])
         root, planar = layout.root_dof, int(layout.planar_dof[0])
         return Velocities(
             body=qvel[:, root : root + 3],
@@ -127,12 +133,11 @@ class StateReader:
     def read(self, rows: Rows = slice(None)) -> RidingState:
         """The state of ``rows`` now; accelerations are differences to their previous reading."""
         engine, layout = self.engine, self.engine.scene.layout
-        qpos, qvel = _float(engine.qpos[rows]), _float(engine.qvel[rows])
+        qpos, qvel = self._simulation(rows)
         sensors = _float(engine.sensordata[rows])
-        now = self._velocities(rows)
+        now = self._velocities(qpos, qvel)
         rates = {name: (value - getattr(self._previous, name)[rows]) / CONTROL_DT for name, value in vars(now).items()}
-        for name, value in vars(now).items():
-            getattr(self._previous, name)[rows] = value
+        self._remember(rows, now)
         root, planar = layout.root_qpos, int(layout.planar_qpos[0])
         pitch, roll = (qpos[:, int(i)] for i in layout.tilt_qpos)
         yaw = qpos[:, planar + 2]

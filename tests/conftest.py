@@ -1,9 +1,12 @@
+"""Small networks that the tests of modules and objectives share; no size is the paper's."""
+
 from __future__ import annotations
 
 import pytest
+import torch
 from torchrl.data import Composite, Unbounded
 
-from torchrl_atr.modules import make_networks
+from torchrl_atr.modules import RidingNetworks, make_networks
 
 
 @pytest.fixture
@@ -18,7 +21,8 @@ def spec() -> Composite:
 
 
 @pytest.fixture
-def networks(spec):
+def networks(spec: Composite) -> RidingNetworks:
+    torch.manual_seed(0)
     nets = make_networks(spec, Unbounded((5, 2)), latent_features=4, actor_cells=(16,), critic_cells=(16,))
     nets.update_normalizers(spec.rand() * 3 + 1)
     return nets
