@@ -7,7 +7,15 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_atr.modules import CorrelatedGaussian
+from torchrl_atr.modules import (
+    ActorBackbone,
+    CorrelatedGaussian,
+    RunningNormalizer,
+    SynergyNormal,
+    correlate,
+    leg_synergies,
+    make_actor,
+)
 
 
 def sample(explore: CorrelatedGaussian, steps: int, rows: int = 2000) -> torch.Tensor:
@@ -50,3 +58,42 @@ def test_deterministic_is_the_mean():
 def test_bad_correlation():
     with pytest.raises(ValueError, match=r"correlation must be in \[0, 1\), got 1"):
         CorrelatedGaussian(1.0)
+
+
+def test_synergies_are_orthonormal_and_the_first_ones_move_all_legs_alike():
+    basis = leg_synergies(3)
+    torch.testing.assert_close(basis.T @ basis, torch.eye(12))
+    for joint in range(3):
+        torch.testing.assert_close(basis[:, joint], torch.eye(3)[joint].repeat(4) / 2)
+    assert basis[:, 3:].reshape(4, 3, 9).sum(0).abs().max() == 0.0  # the others do not
+
+
+def test_synergy_normal_is_the_multivariate_normal_of_its_basis():
+    torch.manual_seed(0)
+    basis, loc, scale = leg_synergies(), torch.randn(4, 12), torch.rand(12) + 0.1
+    normal = SynergyNormal(loc, scale.expand(4, 12), basis)
+    covariance = basis @ scale.square().diag() @ basis.T
+    reference = torch.distributions.MultivariateNormal(loc, covariance)
+    value = torch.randn(4, 12)
+    torch.testing.assert_close(normal.log_prob(value), reference.log_prob(value))
+    torch.testing.assert_close(normal.entropy(), reference.entropy())
+    assert torch.equal(normal.deterministic_sample, loc)
+    measured = torch.cov((normal.sample((20_000,)) - loc)[:, 0].T)
+    torch.testing.assert_close(measured, covariance, atol=0.05, rtol=0.1)
+
+
+def test_correlate_keeps_the_actors_distribution():
+    torch.manual_seed(0)
+    norms = RunningNormalizer(5), RunningNormalizer(4)
+    actor = make_actor(ActorBackbone(*norms, 3, 12, init_std=[0.5] * 3 + [0.1] * 9, noise_basis=leg_synergies()))
+    td = TensorDict(observation=torch.randn(6, 5), act={"intrinsic": torch.randn(6, 3), "extrinsic": torch.randn(6, 4)})
+    td.batch_size = [6]
+    with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
+        out = correlate(actor, 0.9)(td)
+    torch.testing.assert_close(out["action_log_prob"], actor.get_dist(td).log_prob(out["action"]))
+
+
+@pytest.mark.parametrize("basis", [torch.ones(2, 2), torch.eye(3)])
+def test_a_bad_basis_is_refused(basis):
+    with pytest.raises(ValueError, match="needs 2 orthonormal columns of 2"):
+        ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2, noise_basis=basis)

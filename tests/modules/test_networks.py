@@ -58,6 +58,16 @@ def test_std_keeps_its_floor_and_a_gradient_near_it(raw):
     assert std.raw.grad.item() > 0
 
 
+def test_a_cap_lowers_the_std_and_keeps_its_gradient():
+    std = StateIndependentStd(3, [0.3, 0.2, 0.1], 0.05)
+    std.cap_(0.2)
+    torch.testing.assert_close(std(), torch.tensor([0.2, 0.2, 0.1]))
+    std().sum().backward()
+    assert (std.raw.grad > 0).all()
+    with pytest.raises(ValueError, match=r"ceiling must be above min_std=0\.05, got 0\.05"):
+        std.cap_(0.05)
+
+
 def test_std_rejects_a_floor_above_the_start():
     with pytest.raises(ValueError, match=r"min_std=0\.4"):
         StateIndependentStd(2, init_std=0.3, min_std=0.4)

@@ -13,6 +13,7 @@ def test_values_and_overrides_with_the_override_winning():
     config = make_config({"gamma": 0.9, "num_envs": 8}, ["gamma=0.5", "total_frames=1e6", "imports=a,b"])
     assert (config.gamma, config.num_envs, config.total_frames) == (0.5, 8, 1_000_000)
     assert config.imports == ("a", "b")
+    assert not make_config({}, ["dead_reckoning=false"]).dead_reckoning
 
 
 def test_json_round_trip(tmp_path):
@@ -37,6 +38,7 @@ def test_toml_file(tmp_path):
         ({}, ["num_envs=many"], "num_envs='many' is not a valid int"),
         ({"num_envs": 2.5}, [], "num_envs=2.5 is not a valid int"),
         ({"robot": 3}, [], "robot=3 is not a valid str"),
+        ({"dead_reckoning": "maybe"}, [], "dead_reckoning='maybe' is not a valid bool"),
         ({"act_source": "guess"}, [], "act_source='guess' is unknown; choose one of privileged"),
         ({"init_std": 0.1, "min_std": 0.2}, [], "min_std=0.2 must be below init_std=0.1"),
         ({"robot": "a2"}, [], "unknown robot 'a2'; known: a1"),

@@ -9,7 +9,7 @@ from torchrl.envs import TransformedEnv
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.riding import PhysicsEngine, RidingEnv
 from torchrl_atr.envs.task.randomization import Randomization
-from torchrl_atr.envs.task.rewards import MAX_TRACKING
+from torchrl_atr.envs.task.rewards import MAX_TRACKING, TERMINATION
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid, riding_transforms
 
@@ -81,6 +81,8 @@ def make_riding_env(
         window=window,
         grid=grid,
         runaway_margin=runaway_margin,
+        runaway_penalty=dt * TERMINATION,
+        rest_key="speeds",
         seed=seed,
         **curriculum,
     )

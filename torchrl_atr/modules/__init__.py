@@ -16,7 +16,7 @@ from torchrl_atr.modules.estimators import (
     get_estimator,
     register_estimator,
 )
-from torchrl_atr.modules.exploration import CorrelatedGaussian, correlate
+from torchrl_atr.modules.exploration import CorrelatedGaussian, SynergyNormal, correlate, leg_synergies
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.networks import NormalizedEstimator, RidingNetworks, make_networks
 from torchrl_atr.modules.normalization import RunningNormalizer
@@ -37,10 +37,12 @@ __all__ = [
     "RunningNormalizer",
     "Source",
     "StateIndependentStd",
+    "SynergyNormal",
     "available_estimators",
     "check_estimator",
     "correlate",
     "get_estimator",
+    "leg_synergies",
     "make_actor",
     "make_networks",
     "register_estimator",

@@ -9,8 +9,9 @@ import torch
 from tensordict import NestedKey
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
-from torchrl.modules import MLP, IndependentNormal, ProbabilisticActor
+from torchrl.modules import MLP, ProbabilisticActor
 
+from torchrl_atr.modules.exploration import SynergyNormal, check_basis
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
 
@@ -19,39 +20,47 @@ class StateIndependentStd(nn.Module):
     """One learned standard deviation per action, never below a floor (the paper's theta_std).
 
     ``std = min_std + softplus(raw)``: unlike a clamp, which has no gradient below the floor and so keeps an
-    action there for good, softplus lets exploration grow again from any value. A recipe may lower ``ceiling``
-    between iterations to anneal the exploration; while it binds, the std follows it and not its gradient.
-
-    Attributes:
-        ceiling (Tensor): what no std exceeds, a scalar buffer; infinite unless lowered.
+    action there for good, softplus lets exploration grow again from any value. A recipe may anneal the
+    exploration with :meth:`cap_` between iterations.
 
     Args:
         features (int): number of actions.
-        init_std (float): initial value, in units of the action. Defaults to 0.3.
+        init_std (float or sequence of float): initial value, or one for each action, in units of the action.
+            Defaults to 0.3.
         min_std (float): floor. Defaults to 0.05.
 
     Raises:
-        ValueError: unless ``0 <= min_std < init_std``.
+        ValueError: unless ``0 <= min_std < init_std``, or for another number of values than ``features``.
 
     Examples:
         >>> StateIndependentStd(2)().tolist()
         [0.30000001192092896, 0.30000001192092896]
     """
 
-    def __init__(self, features: int, init_std: float = 0.3, min_std: float = 0.05) -> None:
+    def __init__(self, features: int, init_std: float | Sequence[float] = 0.3, min_std: float = 0.05) -> None:
         super().__init__()
-        if not 0.0 <= min_std < init_std:
+        initial = torch.as_tensor(init_std, dtype=torch.get_default_dtype())
+        if initial.numel() not in (1, features):
+            raise ValueError(f"init_std needs one value or {features}, got {initial.numel()}.")
+        if not 0.0 <= min_std < float(initial.min()):
             raise ValueError(f"Need 0 <= min_std < init_std, got min_std={min_std}, init_std={init_std}.")
         self.min_std = float(min_std)
-        raw = math.log(math.expm1(init_std - min_std))
-        self.raw = nn.Parameter(torch.full((features,), raw))
-        self.register_buffer("ceiling", torch.tensor(math.inf))
-
-    ceiling: Tensor
+        self.raw = nn.Parameter(torch.expm1(initial - min_std).log().expand(features).clone())
 
     def forward(self) -> Tensor:
         """Return the standard deviations, (features,)."""
-        return (self.min_std + nn.functional.softplus(self.raw)).clamp_max(self.ceiling)
+        return self.min_std + nn.functional.softplus(self.raw)
+
+    @torch.no_grad()
+    def cap_(self, ceiling: float) -> None:
+        """Lower every std above ``ceiling`` to it; the gradient keeps flowing, unlike under a clamp.
+
+        Raises:
+            ValueError: unless ``ceiling`` is above the floor.
+        """
+        if not ceiling > self.min_std:
+            raise ValueError(f"ceiling must be above min_std={self.min_std}, got {ceiling}.")
+        self.raw.clamp_(max=math.log(math.expm1(ceiling - self.min_std)))
 
 
 class ActorBackbone(nn.Module):
@@ -66,6 +75,8 @@ class ActorBackbone(nn.Module):
         action_features (int): number of actions.
         cells (sequence of int): hidden widths. Defaults to ``(512, 256, 128)``.
         init_std, min_std (float): see :class:`StateIndependentStd`.
+        noise_basis (Tensor, optional): orthonormal columns, (A, A), along which the actions are explored
+            independently, such as :func:`~torchrl_atr.modules.leg_synergies`; None for the actions themselves.
 
     Examples:
         >>> import torch
@@ -82,10 +93,17 @@ class ActorBackbone(nn.Module):
         latent_features: int,
         action_features: int,
         cells: Sequence[int] = (512, 256, 128),
-        init_std: float = 0.3,
+        init_std: float | Sequence[float] = 0.3,
         min_std: float = 0.05,
+        noise_basis: Tensor | None = None,
     ) -> None:
         super().__init__()
+        basis = torch.eye(action_features) if noise_basis is None else noise_basis
+        self.register_buffer("noise_basis", check_basis(basis, action_features))
+        # the network answers in units of the exploration along each column: an optimiser step of a given size is then
+        # the same divergence in each, and what is explored little does not use up the trust region
+        unit = torch.as_tensor(init_std, dtype=basis.dtype).expand(action_features)
+        self.register_buffer("head", unit.unsqueeze(-1) * basis.T)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
         in_features = observation_norm.shape.numel() + latent_features + extrinsic_norm.shape.numel()
@@ -93,9 +111,12 @@ class ActorBackbone(nn.Module):
         self.std = StateIndependentStd(action_features, init_std, min_std)
 
     def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor) -> tuple[Tensor, Tensor]:
-        """Return ``loc`` and ``scale``, each (*B, A), from (*B, O), (*B, L) and (*B, E) (SI units)."""
+        """Return ``loc`` and ``scale``, each (*B, A), from (*B, O), (*B, L) and (*B, E) (SI units).
+
+        ``scale`` is along the columns of the noise basis.
+        """
         inputs = (self.observation_norm(observation), intrinsic, self.extrinsic_norm(extrinsic))
-        loc = self.net(torch.cat(inputs, -1))
+        loc = self.net(torch.cat(inputs, -1)) @ self.head
         return loc, self.std().expand_as(loc)
 
 
@@ -118,7 +139,8 @@ def make_actor(
         action (NestedKey): what is written, with ``<action>_log_prob`` beside it.
 
     Returns:
-        ProbabilisticActor: a diagonal Gaussian policy (:class:`~torchrl.modules.IndependentNormal`).
+        ProbabilisticActor: a Gaussian policy (:class:`~torchrl_atr.modules.SynergyNormal` along the backbone's
+            noise basis).
 
     Examples:
         >>> backbone = ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2)
@@ -131,6 +153,7 @@ def make_actor(
         TensorDictSequential(*front, head) if front else head,
         in_keys=["loc", "scale"],
         out_keys=[action],
-        distribution_class=IndependentNormal,
+        distribution_class=SynergyNormal,
+        distribution_kwargs={"basis": backbone.noise_basis},
         return_log_prob=True,
     )

@@ -12,7 +12,7 @@ from torchrl_atr.modules.normalization import RunningNormalizer
 
 
 class AsymmetricCritic(nn.Module):
-    """Value of the full state: observation, intrinsic parameters and extrinsic state (reading A20).
+    """Value of the full state: observation, intrinsic parameters, extrinsic state (reading A20), and more if wanted.
 
     It has its own MLP and shares only the (frozen between updates) normalisers with the actor.
 
@@ -20,6 +20,7 @@ class AsymmetricCritic(nn.Module):
         observation_norm, extrinsic_norm (RunningNormalizer): shared with the actor.
         intrinsic_features (int): size of ``("privileged", "intrinsic")``, scaled to [-1, 1] by the env.
         cells (sequence of int): hidden widths. Defaults to ``(512, 256, 128)``.
+        outlook_norm (RunningNormalizer, optional): of a fourth input; without it there is none.
         scale (float): multiplies the output, so that a fresh network need not grow to the size of returns
             of some tens. Defaults to 10.
 
@@ -36,16 +37,21 @@ class AsymmetricCritic(nn.Module):
         extrinsic_norm: RunningNormalizer,
         intrinsic_features: int,
         cells: Sequence[int] = (512, 256, 128),
+        outlook_norm: RunningNormalizer | None = None,
         scale: float = 10.0,
     ) -> None:
         super().__init__()
         self.scale = float(scale)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
-        in_features = observation_norm.shape.numel() + intrinsic_features + extrinsic_norm.shape.numel()
+        self.outlook_norm = outlook_norm
+        norms = [norm for norm in (observation_norm, extrinsic_norm, outlook_norm) if norm is not None]
+        in_features = intrinsic_features + sum(norm.shape.numel() for norm in norms)
         self.net = MLP(in_features, 1, num_cells=list(cells), activation_class=nn.ELU)
 
-    def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor) -> Tensor:
-        """Return the value, (*B, 1), from (*B, O), (*B, I) and (*B, E) (SI units)."""
-        inputs = (self.observation_norm(observation), intrinsic, self.extrinsic_norm(extrinsic))
+    def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor, *outlook: Tensor) -> Tensor:
+        """Return the value, (*B, 1), from (*B, O), (*B, I), (*B, E) and, if built for it, (*B, K) (SI units)."""
+        inputs = [self.observation_norm(observation), intrinsic, self.extrinsic_norm(extrinsic)]
+        if self.outlook_norm is not None:
+            inputs += [self.outlook_norm(value) for value in outlook]
         return self.scale * self.net(torch.cat(inputs, -1))

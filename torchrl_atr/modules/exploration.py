@@ -1,15 +1,89 @@
-"""Exploration that lasts: Gaussian actions whose noise is correlated in time."""
+"""Exploration that tilts a deck: Gaussian actions whose noise moves legs together and lasts."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import torch
+from scipy.linalg import hadamard
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import IndependentNormal, ProbabilisticActor
+
+
+def leg_synergies(joints: int = 3) -> Tensor:
+    """Orthonormal directions in which four legs move together or against each other.
+
+    The columns are the four Hadamard patterns over the legs (common; then two legs against the other two, in three ways)
+    for each joint of a leg. The first ``joints`` columns move all legs alike: they lean, shift and lift the body, which
+    is what tilts a deck; independent noise in twelve joints mostly strains the legs against each other.
+
+    Args:
+        joints (int): joints of a leg; the actions are listed leg by leg, the legs in any order.
+
+    Returns:
+        Tensor: (4 * joints, 4 * joints), orthonormal columns.
+
+    Examples:
+        >>> leg_synergies(1)[:, 0].tolist()
+        [0.5, 0.5, 0.5, 0.5]
+    """
+    patterns = torch.as_tensor(hadamard(4), dtype=torch.get_default_dtype()) / 2
+    return torch.kron(patterns, torch.eye(joints))
+
+
+def check_basis(basis: Tensor, actions: int) -> Tensor:
+    """Return ``basis`` if it is orthonormal, (actions, actions).
+
+    Raises:
+        ValueError: if it is not.
+    """
+    if basis.shape != (actions, actions) or not torch.allclose(basis.T @ basis, torch.eye(actions), atol=1e-5):
+        raise ValueError(f"A noise basis needs {actions} orthonormal columns of {actions}, got {tuple(basis.shape)}.")
+    return basis
+
+
+class SynergyNormal(IndependentNormal):
+    """Normal distribution over actions, independent along the columns of an orthonormal basis.
+
+    Args:
+        loc (Tensor): mean action, (*B, A).
+        scale (Tensor): standard deviation along each column, (*B, A).
+        basis (Tensor, optional): (A, A); None for the actions themselves.
+
+    Examples:
+        >>> normal = SynergyNormal(torch.zeros(12), torch.full((12,), 0.1), leg_synergies())
+        >>> normal.rsample().shape, normal.log_prob(torch.zeros(12)).shape
+        (torch.Size([12]), torch.Size([]))
+    """
+
+    def __init__(self, loc: Tensor, scale: Tensor, basis: Tensor | None = None, **kwargs: Any) -> None:
+        self.basis = None if basis is None else basis.to(loc)
+        super().__init__(loc, scale, **kwargs)
+
+    def rsample(self, sample_shape: Sequence[int] = ()) -> Tensor:
+        """Draw actions, (*sample_shape, *B, A)."""
+        loc = self.base_dist.loc
+        return self.displace(torch.randn(*sample_shape, *loc.shape, dtype=loc.dtype, device=loc.device))
+
+    def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
+        """Draw actions without gradient, (*sample_shape, *B, A)."""
+        with torch.no_grad():
+            return self.rsample(sample_shape)
+
+    def displace(self, noise: Tensor) -> Tensor:
+        """The action for a standard normal ``noise`` along the columns, (*B, A)."""
+        deviation = self.base_dist.scale * noise
+        return self.base_dist.loc + (deviation if self.basis is None else deviation @ self.basis.T)
+
+    def log_prob(self, value: Tensor) -> Tensor:
+        """Log-density of ``value``, (*B, A)."""
+        loc = self.base_dist.loc
+        return super().log_prob(value if self.basis is None else loc + (value - loc) @ self.basis)
 
 
 class CorrelatedGaussian(TensorDictModuleBase):
@@ -22,6 +96,7 @@ class CorrelatedGaussian(TensorDictModuleBase):
 
     Args:
         correlation (float): ρ in [0, 1); 0 is white noise.
+        basis (Tensor, optional): of the policy's :class:`SynergyNormal`.
         loc, scale (NestedKey): the policy's mean and standard deviation, (*B, A).
         action (NestedKey): what is written, with ``<action>_log_prob`` beside it.
 
@@ -40,6 +115,7 @@ class CorrelatedGaussian(TensorDictModuleBase):
         self,
         correlation: float,
         *,
+        basis: Tensor | None = None,
         loc: NestedKey = "loc",
         scale: NestedKey = "scale",
         action: NestedKey = "action",
@@ -48,6 +124,7 @@ class CorrelatedGaussian(TensorDictModuleBase):
         if not 0.0 <= correlation < 1.0:
             raise ValueError(f"correlation must be in [0, 1), got {correlation}; 0 is white noise.")
         self.correlation = float(correlation)
+        self.register_buffer("basis", basis, persistent=False)
         self._noise: Tensor | None = None
         log_prob = f"{action}_log_prob" if isinstance(action, str) else (*action[:-1], f"{action[-1]}_log_prob")
         self.in_keys = [loc, scale]
@@ -56,6 +133,7 @@ class CorrelatedGaussian(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action and its log-probability; the mean under ``ExplorationType.DETERMINISTIC``."""
         loc, scale = (tensordict.get(key) for key in self.in_keys)
+        normal = SynergyNormal(loc, scale, self.basis)
         action = loc
         if exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
             fresh = torch.randn_like(loc)
@@ -63,16 +141,17 @@ class CorrelatedGaussian(TensorDictModuleBase):
                 self._noise = fresh
             else:
                 self._noise = self.correlation * self._noise + math.sqrt(1 - self.correlation**2) * fresh
-            action = loc + scale * self._noise
+            action = normal.displace(self._noise)
         tensordict.set(self.out_keys[0], action)
-        return tensordict.set(self.out_keys[1], IndependentNormal(loc, scale).log_prob(action))
+        return tensordict.set(self.out_keys[1], normal.log_prob(action))
 
 
 def correlate(actor: ProbabilisticActor, correlation: float, action: NestedKey = "action") -> TensorDictSequential:
     """Replace an actor's sampling by :class:`CorrelatedGaussian`; the networks stay shared.
 
     Args:
-        actor (ProbabilisticActor): a diagonal Gaussian policy that writes ``loc`` and ``scale``.
+        actor (ProbabilisticActor): a Gaussian policy that writes ``loc`` and ``scale``, such as
+            :func:`~torchrl_atr.modules.make_actor`'s.
         correlation (float): ρ in [0, 1).
         action (NestedKey): what the actor writes.
 
@@ -85,5 +164,6 @@ def correlate(actor: ProbabilisticActor, correlation: float, action: NestedKey =
         >>> correlate(actor, 0.9).in_keys
         ['observation', ('act', 'intrinsic'), ('act', 'extrinsic')]
     """
-    *networks, _ = actor.module
-    return TensorDictSequential(*networks, CorrelatedGaussian(correlation, action=action))
+    *networks, sampler = actor.module
+    basis = sampler.distribution_kwargs.get("basis")
+    return TensorDictSequential(*networks, CorrelatedGaussian(correlation, basis=basis, action=action))

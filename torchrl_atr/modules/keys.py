@@ -11,6 +11,9 @@ from tensordict import NestedKey
 class NetworkKeys:
     """Names of the entries that networks and loss meet on; rename any of them for an env with its own names.
 
+    Two are optional, and used where the env has them: ``odometry``, dead-reckoned velocities that the extrinsic
+    estimator reads beside the history, and ``outlook``, whatever else the critic may see. None leaves them unused.
+
     Examples:
         >>> NetworkKeys(observation=("agent", "obs")).observation
         ('agent', 'obs')
@@ -18,8 +21,10 @@ class NetworkKeys:
 
     observation: NestedKey = "observation"
     history: NestedKey = "history"
+    odometry: NestedKey | None = "odometry"
     intrinsic: NestedKey = ("privileged", "intrinsic")
     extrinsic: NestedKey = ("privileged", "extrinsic")
+    outlook: NestedKey | None = ("privileged", "outlook")
     latent: NestedKey = ("latent", "intrinsic")
     intrinsic_estimate: NestedKey = ("estimate", "intrinsic")
     extrinsic_estimate: NestedKey = ("estimate", "extrinsic")

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain
 from typing import Any
 
+import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
@@ -22,13 +23,15 @@ from torchrl_atr.modules.normalization import RunningNormalizer
 
 
 class NormalizedEstimator(nn.Module):
-    """An estimator between two normalisers: raw history in, estimate in the units of its target out.
+    """An estimator between normalisers: raw history in, estimate in the units of its target out.
 
     Args:
-        net (nn.Module): maps (*B, H, D) to (*B, out_features), both normalised.
+        net (nn.Module): maps (*B, H, D) to (*B, out_features), both normalised; (*B, H, D + S) with a side input.
         input_norm (RunningNormalizer): of one observation, (D,); applied to every step of the history.
         output_norm (RunningNormalizer, optional): of the target; its inverse is applied to the output.
             Without it the output is returned as it is.
+        side_norm (RunningNormalizer, optional): of a side input, (S,), that is appended to every step of the
+            history, so that any estimator of histories can read it.
 
     Examples:
         >>> import torch
@@ -38,16 +41,25 @@ class NormalizedEstimator(nn.Module):
     """
 
     def __init__(
-        self, net: nn.Module, input_norm: RunningNormalizer, output_norm: RunningNormalizer | None = None
+        self,
+        net: nn.Module,
+        input_norm: RunningNormalizer,
+        output_norm: RunningNormalizer | None = None,
+        side_norm: RunningNormalizer | None = None,
     ) -> None:
         super().__init__()
         self.net = net
         self.input_norm = input_norm
         self.output_norm = output_norm
+        self.side_norm = side_norm
 
-    def forward(self, history: Tensor) -> Tensor:
-        """Map a raw history (*B, H, D) to the estimate (*B, out_features)."""
-        out = self.net(self.input_norm(history))
+    def forward(self, history: Tensor, *side: Tensor) -> Tensor:
+        """Map a raw history (*B, H, D), and a side input (*B, S) if built for it, to the estimate (*B, out_features)."""
+        x = self.input_norm(history)
+        if self.side_norm is not None:
+            rows = [self.side_norm(value).unsqueeze(-2).expand(*x.shape[:-1], -1) for value in side]
+            x = torch.cat([x, *rows], -1)
+        out = self.net(x)
         return out if self.output_norm is None else self.output_norm.inverse(out)
 
 
@@ -99,15 +111,18 @@ class RidingNetworks(nn.Module):
 
     @property
     def extrinsic_estimator_module(self) -> TensorDictModule:
-        """Extrinsic estimator: history (*B, H, D) to the extrinsic state (*B, E), SI units."""
-        keys = self.keys
-        return TensorDictModule(self.extrinsic_estimator, in_keys=[keys.history], out_keys=[keys.extrinsic_estimate])
+        """Extrinsic estimator: history (*B, H, D) and odometry, if used, to the extrinsic state (*B, E), SI units."""
+        keys, estimator = self.keys, self.extrinsic_estimator
+        in_keys = [keys.history] if estimator.side_norm is None else [keys.history, keys.odometry]
+        return TensorDictModule(estimator, in_keys=in_keys, out_keys=[keys.extrinsic_estimate])
 
     @property
     def critic_module(self) -> ValueOperator:
-        """Critic: observation and both privileged entries to the state value (*B, 1)."""
+        """Critic: observation, both privileged entries and the outlook, if used, to the state value (*B, 1)."""
         keys = self.keys
         in_keys = [keys.observation, keys.intrinsic, keys.extrinsic]
+        if self.critic.outlook_norm is not None:
+            in_keys.append(keys.outlook)
         return ValueOperator(self.critic, in_keys=in_keys, out_keys=[keys.state_value])
 
     def training_actor(self, source: Source = "privileged") -> ProbabilisticActor:
@@ -142,12 +157,19 @@ class RidingNetworks(nn.Module):
         return self.rollout_policy("estimated")
 
     def update_normalizers(self, tensordict: TensorDictBase) -> None:
-        """Merge a batch's observations and extrinsic states into the running statistics.
+        """Merge a batch's observations, extrinsic states and side inputs into the running statistics.
 
         Call it between iterations: after the epochs on a batch, before the next rollout.
         """
-        self.obs_norm.update(tensordict.get(self.keys.observation))
-        self.ext_norm.update(tensordict.get(self.keys.extrinsic))
+        keys = self.keys
+        for norm, key in (
+            (self.obs_norm, keys.observation),
+            (self.ext_norm, keys.extrinsic),
+            (self.extrinsic_estimator.side_norm, keys.odometry),
+            (self.critic.outlook_norm, keys.outlook),
+        ):
+            if norm is not None:
+                norm.update(tensordict.get(key))
 
     def policy_parameters(self) -> Iterator[nn.Parameter]:
         """Iterate over what PPO and the ROA term train: encoder, actor and critic."""
@@ -189,8 +211,9 @@ def make_networks(
     latent_features: int = 16,
     actor_cells: Sequence[int] = (512, 256, 128),
     critic_cells: Sequence[int] = (512, 256, 128),
-    init_std: float = 0.3,
+    init_std: float | Sequence[float] = 0.3,
     min_std: float = 0.05,
+    noise_basis: Tensor | None = None,
     keys: NetworkKeys | None = None,
 ) -> RidingNetworks:
     """Build the networks of Table I for an env; every size is read from its specs.
@@ -204,8 +227,10 @@ def make_networks(
         latent_features (int): size of z. Defaults to 16.
         actor_cells (sequence of int): hidden widths of the actor.
         critic_cells (sequence of int): hidden widths of the critic.
-        init_std (float): initial exploration, in units of the action.
+        init_std (float or sequence of float): initial exploration, in units of the action; one per column of the
+            noise basis if it is a sequence.
         min_std (float): its floor.
+        noise_basis (Tensor, optional): see :class:`~torchrl_atr.modules.ActorBackbone`.
         keys (NetworkKeys, optional): names of the entries, if the env has its own.
 
     Returns:
@@ -239,6 +264,8 @@ def make_networks(
         )
     factory, options = get_estimator(estimator), dict(estimator_kwargs or {})
     obs_norm, ext_norm = RunningNormalizer(obs), RunningNormalizer(extrinsic)
+    odometry_norm, outlook_norm = (_optional_norm(observation_spec, key) for key in (keys.odometry, keys.outlook))
+    side = 0 if odometry_norm is None else odometry_norm.shape.numel()
     return RidingNetworks(
         obs_norm=obs_norm,
         ext_norm=ext_norm,
@@ -247,12 +274,24 @@ def make_networks(
             factory(history_shape=history_shape, out_features=latent_features, **options), obs_norm
         ),
         extrinsic_estimator=NormalizedEstimator(
-            factory(history_shape=history_shape, out_features=extrinsic, **options), obs_norm, ext_norm
+            factory(history_shape=(history_shape[0], obs + side), out_features=extrinsic, **options),
+            obs_norm,
+            ext_norm,
+            odometry_norm,
         ),
-        backbone=ActorBackbone(obs_norm, ext_norm, latent_features, actions, actor_cells, init_std, min_std),
-        critic=AsymmetricCritic(obs_norm, ext_norm, intrinsic, critic_cells),
+        backbone=ActorBackbone(
+            obs_norm, ext_norm, latent_features, actions, actor_cells, init_std, min_std, noise_basis
+        ),
+        critic=AsymmetricCritic(obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm),
         keys=keys,
     )
+
+
+def _optional_norm(spec: Composite, key: NestedKey | None) -> RunningNormalizer | None:
+    """A normaliser for an entry that an env may have."""
+    if key is None or key not in spec.keys(True, True):
+        return None
+    return RunningNormalizer(*_shape(spec, key, 1))
 
 
 def _shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:

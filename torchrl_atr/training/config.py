@@ -42,7 +42,9 @@ class TrainConfig:
         learning_rate, max_learning_rate, target_kl: of the policy; adapted to the measured KL divergence.
         critic_learning_rate, estimator_learning_rate: fixed.
         clip_epsilon, entropy_coeff, max_grad_norm: PPO.
-        init_std, min_std: exploration, in units of the action.
+        init_std: exploration of what all legs do alike (lean, shift, lift), in units of the action.
+        relative_std: exploration of what legs do against each other.
+        min_std: floor of both.
         noise_correlation: of the exploration from one control step to the next, in [0, 1).
         final_std: ceiling of the exploration at the end of the run, lowered linearly from ``init_std`` after
             ``anneal_from`` of it.
@@ -50,6 +52,7 @@ class TrainConfig:
         roa_coeff: λ of Eq. 15.
         adaptation_epochs: passes of the estimators over a batch.
         act_source: what the actor acts on in training: ``privileged``, ``estimated`` or ``mixed`` (A24).
+        dead_reckoning: whether the extrinsic estimator reads the odometry beside the history.
         student_fraction: share of the robots that act on the estimates under ``mixed``.
         history_length: H.
         critic_cells: hidden widths of the critic; the actor's are Table I's.
@@ -86,14 +89,16 @@ class TrainConfig:
     clip_epsilon: float = 0.2
     entropy_coeff: float = 0.0
     max_grad_norm: float = 1.0
-    init_std: float = 0.2
+    init_std: float = 0.3
+    relative_std: float = 0.1
     min_std: float = 0.03
-    noise_correlation: float = 0.9
+    noise_correlation: float = 0.95
     final_std: float = 0.1
     anneal_from: float = 0.6
     roa_coeff: float = 0.2
     adaptation_epochs: int = 1
     act_source: Source = "mixed"
+    dead_reckoning: bool = True
     student_fraction: float = 0.5
     history_length: int = 10
     critic_cells: tuple[int, ...] = (256, 128, 64)
@@ -103,7 +108,7 @@ class TrainConfig:
     tracking_threshold: float = 0.6
     score_from_seconds: float = 1.0
     initial_speed: float = 1.0
-    initial_yaw_rate: float = 0.3
+    initial_yaw_rate: float = 1.0
     runaway_speed: float = 2.0
     runaway_yaw_rate: float = 2.0
     checkpoint_seconds: float = 60.0
@@ -129,8 +134,9 @@ class TrainConfig:
                 "no command would ever be scored"
             )
         _check_device(self.device)
-        if self.min_std >= self.init_std:
-            raise ConfigError(f"min_std={self.min_std:g} must be below init_std={self.init_std:g}")
+        for name in ("init_std", "relative_std", "final_std"):
+            if self.min_std >= getattr(self, name):
+                raise ConfigError(f"min_std={self.min_std:g} must be below {name}={getattr(self, name):g}")
 
     @property
     def frames_per_batch(self) -> int:
@@ -172,6 +178,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "entropy_coeff": (0, 10),
     "max_grad_norm": (_POSITIVE, 1e9),
     "init_std": (1e-3, 10),
+    "relative_std": (1e-3, 10),
     "min_std": (0, 10),
     "noise_correlation": (0, 0.999),
     "final_std": (1e-3, 10),
@@ -194,8 +201,15 @@ _RANGES: dict[str, tuple[float, float]] = {
 
 
 PROFILE_RECIPES: dict[str, dict[str, Any]] = {
-    "literal": {"act_source": "privileged"},
-    "ancestor": {"act_source": "privileged", "init_std": 1.0, "noise_correlation": 0.0, "anneal_from": 0.99},
+    "literal": {"act_source": "privileged", "dead_reckoning": False},
+    "ancestor": {
+        "act_source": "privileged",
+        "dead_reckoning": False,
+        "init_std": 1.0,
+        "relative_std": 1.0,
+        "noise_correlation": 0.0,
+        "anneal_from": 0.99,
+    },
 }
 """What a profile changes in the recipe (A24 and the ancestors' exploration), unless the user sets it."""
 
@@ -254,6 +268,8 @@ def _convert(name: str, value: Any, default: Any) -> Any:
         if kind is tuple:
             parts = [part for part in value.split(",") if part] if isinstance(value, str) else value
             return tuple(type(default[0])(part) if default else str(part) for part in parts)
+        if kind is bool:
+            return {"true": True, "false": False}[str(value).lower()]
         if kind is int:
             number = float(value)
             if number != int(number):
@@ -264,5 +280,5 @@ def _convert(name: str, value: Any, default: Any) -> Any:
         if not isinstance(value, str):
             raise TypeError
         return value
-    except (TypeError, ValueError, OverflowError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         raise ConfigError(f"{name}={value!r} is not a valid {kind.__name__}") from None

@@ -22,7 +22,7 @@ from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.rewards import MAX_TRACKING
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import RidingNetworks, correlate, get_estimator, make_networks
+from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, get_estimator, leg_synergies, make_networks
 from torchrl_atr.training.checkpoint import NAME, CheckpointError, load_checkpoint, save_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig, make_config
 from torchrl_atr.training.learner import Learner
@@ -83,13 +83,17 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
     Raises:
         UnknownNameError: for an unregistered estimator.
     """
+    basis = leg_synergies()
+    alike, joints = len(basis) // 4, len(basis)
     return make_networks(
         env.observation_spec,
         env.action_spec,
         estimator=config.estimator,
         critic_cells=config.critic_cells,
-        init_std=config.init_std,
+        init_std=[config.init_std] * alike + [config.relative_std] * (joints - alike),
         min_std=config.min_std,
+        noise_basis=basis,
+        keys=NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None),
     )
 
 
@@ -201,7 +205,7 @@ class Trainer:
         config = self.config
         late = max(0.0, self.progress_made - config.anneal_from) / (1 - config.anneal_from)
         ceiling = config.init_std + late * (config.final_std - config.init_std)
-        self.learner.networks.backbone.std.ceiling.fill_(max(ceiling, config.min_std))
+        self.learner.networks.backbone.std.cap_(ceiling)
 
     def _iterate(self, batch: TensorDictBase, started: float) -> dict[str, float]:
         collected = time.monotonic()

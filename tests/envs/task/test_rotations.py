@@ -13,6 +13,7 @@ from torchrl_atr.envs.task.rotations import (
     matrix_from_euler,
     matrix_from_quaternion,
     rotate,
+    rotate_about,
     rotate_back,
     wrap,
 )
@@ -58,3 +59,14 @@ def test_wrap_keeps_the_direction_within_half_a_turn():
     angles = torch.tensor([0.3, 2 * math.pi + 0.3, -2 * math.pi - 0.3, 6.2, math.pi - 1e-3])
     expected = torch.tensor([0.3, 0.3, -0.3, 6.2 - 2 * math.pi, math.pi - 1e-3])
     torch.testing.assert_close(wrap(angles), expected, atol=1e-5, rtol=0)
+
+
+def test_rotation_about_a_vector_is_mujocos():
+    axes = torch.randn(10, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    vectors = torch.randn(10, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    for turned, axis, vector in zip(rotate_about(vectors, axes), axes, vectors):
+        quaternion, expected = np.zeros(4), np.zeros(3)
+        mujoco.mju_axisAngle2Quat(quaternion, (axis / axis.norm()).numpy(), float(axis.norm()))
+        mujoco.mju_rotVecQuat(expected, vector.numpy(), quaternion)
+        np.testing.assert_allclose(turned, expected, atol=1e-12)
+    torch.testing.assert_close(rotate_about(vectors, torch.zeros_like(axes)), vectors)

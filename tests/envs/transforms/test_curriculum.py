@@ -10,6 +10,7 @@ from torchrl.envs import Compose, RenameTransform, SerialEnv, TransformedEnv
 from torchrl.envs.utils import RandomPolicy
 from toy import ToyEnv
 
+from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, riding_transforms
 
 CENTRE = (75, 10)
@@ -202,6 +203,18 @@ def test_only_pinned_rows_are_left_out():
     assert (data["command"][~mask].abs() <= 0.3).all()
     assert curriculum.weights[74, 9] == pytest.approx(0.2)  # two of four rows
     assert curriculum.frontier == (0.3, 0.3)
+
+
+def test_a_moving_start_is_not_scored():
+    env = make_riding_env(num_envs=64, num_threads=1, seed=0, moving_start=0.5, window=3, max_steps=6)
+    td = env.reset()
+    moving, rows = td["speeds"].ne(0).any(-1), env.transform[0].rows
+    assert 10 < int(moving.sum()) < 54
+    assert torch.equal(rows.cells < 0, moving)
+    for _ in range(3):
+        td["action"] = torch.zeros(env.action_spec.shape)
+        _, td = env.step_and_maybe_reset(td)
+    assert (rows.cells >= 0).all()  # the next window counts for all
 
 
 def test_released_rows_finish_their_window_uncounted():

@@ -35,6 +35,10 @@ def test_in_the_stack_a_runaway_ends_its_own_episode():
     td["action"] = torch.zeros(env.action_spec.shape)
     after, carried = env.step_and_maybe_reset(td)
     assert after["next", "terminated"].squeeze(-1).tolist() == [False, True, False]
+    terms = after["next", "reward_terms"]
+    assert terms["termination"].squeeze(-1).tolist() == pytest.approx([0.0, -0.2, 0.0])  # r17 times dt
+    total = torch.stack(list(terms.values())).sum(0)
+    assert torch.allclose(total, after["next", "reward"], atol=1e-6)
     assert float(after["next", "speeds"][1, 0]) > 3.5  # the true terminal observation
     assert carried["speeds"][1].abs().max() < 1e-6
 

@@ -163,6 +163,11 @@ class Engine(ABC):
         error = target - self.qvel[:, layout.planar_dof]
         self.qfrc_applied[:, layout.planar_dof] = self._planar_inertia * error / dt
 
+    def driven_acceleration(self, rows: NDArray[np.int64] | slice) -> Array:
+        """v̇ and α that the law gives ``rows`` at their present tilt and speeds, m/s² and rad/s², (n, 2)."""
+        speeds, tilt = self.speeds[rows], self.qpos[rows][:, self.scene.layout.tilt_qpos]
+        return (self.law(speeds, tilt, self._scale[rows], TIMESTEP) - speeds) / TIMESTEP
+
     def reset(self, rows: NDArray[np.int64], qpos: Array, qvel: Array, parameters: PhysicalParameters) -> None:
         """Starts new episodes: fresh parameters and state, the transporters heading along x.
 

@@ -14,6 +14,8 @@ from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task import disturbances, observations, rewards
 from torchrl_atr.envs.task import randomization as intrinsics
+from torchrl_atr.envs.task.outlook import outlook
+from torchrl_atr.envs.task.rotations import rotate_back
 from torchrl_atr.envs.task.state import CONTROL_DT, RidingState, Rows, StateReader
 from torchrl_atr.envs.task.terminations import fallen
 
@@ -54,6 +56,7 @@ class RidingTask:
     Attributes:
         x_int: scaled intrinsic parameters, (N, 34).
         previous_action: a_{t-1}, (N, 12), zero at the start of an episode.
+        odometry: body velocity by dead reckoning since the start of the episode, body frame, m/s, (N, 3).
         steps: control steps since the start of the episode, (N,).
         num_diverged: simulations that have diverged so far.
 
@@ -83,6 +86,7 @@ class RidingTask:
         self._push_every = round(disturbances.PUSH_INTERVAL / CONTROL_DT)
         self.steps = torch.zeros(n, dtype=torch.long)
         self.previous_action = torch.zeros(n, self.joints)
+        self.odometry = torch.zeros(n, 3)
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
         self.begin(np.arange(n))
 
@@ -103,6 +107,10 @@ class RidingTask:
         self.x_int, self.previous_action = self.x_int.clone(), self.previous_action.clone()
         self.x_int[rows], self.previous_action[rows], self.steps[rows] = x_int, 0.0, 0
         self._reader.forget(rows)
+        # a moving start stands for a ride that began earlier, its odometry with it
+        start = self._reader.read(rows)
+        self.odometry = self.odometry.clone()
+        self.odometry[rows] = rotate_back(start.rotation, start.velocity)
 
     def act(self, action: Tensor) -> None:
         """Opens a control step: pushes that are due, then the joint targets q0 + scale · action.
@@ -153,6 +161,7 @@ class RidingTask:
             clip_to_positive=self.readings.positive_rewards,
         )
         self.previous_action = self._action
+        self.odometry = observations.dead_reckoning(self.odometry, state)
         self.steps = self.steps + 1
         return Outcome(state, reward, terms, terminated)
 
@@ -173,9 +182,11 @@ class RidingTask:
             "proprio": proprio,
             "command": command.clone(),
             "speeds": state.speeds,
+            "odometry": self.odometry[rows],
             "observation": torch.cat([proprio, command], -1),
             ("privileged", "intrinsic"): self.x_int[rows],
             ("privileged", "extrinsic"): observations.extrinsic(state),
+            ("privileged", "outlook"): outlook(state, command),
         }
 
     def _push(self) -> None:
@@ -186,7 +197,12 @@ class RidingTask:
 
     def get_state(self) -> dict[str, Tensor]:
         """Simulation state (float64) and bookkeeping, copied."""
-        own = {"x_int": self.x_int, "previous_action": self.previous_action, "steps": self.steps}
+        own = {
+            "x_int": self.x_int,
+            "previous_action": self.previous_action,
+            "odometry": self.odometry,
+            "steps": self.steps,
+        }
         simulation = {name: torch.from_numpy(value) for name, value in self.engine.get_state().items()}
         return {**simulation, **{name: value.clone() for name, value in own.items()}}
 
@@ -204,7 +220,7 @@ class RidingTask:
                 got, needed = tuple(state[name].shape), tuple(value.shape)
                 raise ValueError(f"state entry {name!r} has shape {got}; this env needs {needed}")
         self.x_int, self.previous_action = state["x_int"].clone(), state["previous_action"].clone()
-        self.steps = state["steps"].clone()
+        self.odometry, self.steps = state["odometry"].clone(), state["steps"].clone()
         arrays = {name: value.numpy() for name, value in state.items()}
         parameters = intrinsics.physical_parameters(self.x_int, self.scene, self.readings)
         self.engine.reset(np.arange(self.engine.num_envs), arrays["qpos"], arrays["qvel"], parameters)

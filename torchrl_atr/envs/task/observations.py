@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.task.rotations import rotate_back, wrap
-from torchrl_atr.envs.task.state import GRAVITY, RidingState
+from torchrl_atr.envs.task.rotations import rotate_about, rotate_back, wrap
+from torchrl_atr.envs.task.state import CONTROL_DT, GRAVITY, RidingState
 
 
 def body_acceleration(state: RidingState, readings: Readings) -> Tensor:
@@ -51,6 +51,23 @@ def relative_position(state: RidingState) -> Tensor:
 def relative_yaw(state: RidingState) -> Tensor:
     """Heading of the body relative to the platform, rad, (N, 1)."""
     return wrap(state.euler[:, 2:] - state.platform_euler[:, 2:])
+
+
+def dead_reckoning(velocity: Tensor, state: RidingState) -> Tensor:
+    """Body velocity a control step later from what an IMU measures: turned back by ω_B dt, plus v̇_B dt.
+
+    A history of 0.2 s sees speed only through the resistance, 0.06 m/s² for each m/s; from a start at rest the
+    integral of the acceleration knows it. It drifts with the bias of a real accelerometer.
+
+    Args:
+        velocity: before the step, body frame, m/s, (N, 3).
+        state: after it.
+
+    Returns:
+        (N, 3), body frame, m/s.
+    """
+    acceleration = rotate_back(state.rotation, state.acceleration)
+    return rotate_about(velocity, -CONTROL_DT * state.angular_velocity) + CONTROL_DT * acceleration
 
 
 def proprio(state: RidingState, previous_action: Tensor, readings: Readings) -> Tensor:

@@ -69,6 +69,11 @@ def reward_term(name: str) -> Callable[[Term], Term]:
     return register
 
 
+def tracking_kernel(error: Tensor) -> Tensor:
+    """exp(-|e| / 0.5): 1 for perfect tracking, any shape (of r0 and r1)."""
+    return torch.exp(-error.abs() / KERNEL_WIDTH)
+
+
 MAX_TRACKING = {"forward_command": 8.0, "steering_command": 8.0}
 """k0 and k1: the two terms at perfect tracking; the curriculum's thresholds are fractions of them."""
 
@@ -76,13 +81,13 @@ MAX_TRACKING = {"forward_command": 8.0, "steering_command": 8.0}
 @reward_term("forward_command")
 def forward_command(c: RewardContext) -> Tensor:
     """r0 = k0 exp(-|v_P,x - c_v| / 0.5), with v in P_planar (the printed p is read as v, A7)."""
-    return MAX_TRACKING["forward_command"] * torch.exp(-(c.state.speeds[:, 0] - c.command[:, 0]).abs() / KERNEL_WIDTH)
+    return MAX_TRACKING["forward_command"] * tracking_kernel(c.state.speeds[:, 0] - c.command[:, 0])
 
 
 @reward_term("steering_command")
 def steering_command(c: RewardContext) -> Tensor:
     """r1 = k1 exp(-|ω_P,z - c_ω| / 0.5)."""
-    return MAX_TRACKING["steering_command"] * torch.exp(-(c.state.speeds[:, 1] - c.command[:, 1]).abs() / KERNEL_WIDTH)
+    return MAX_TRACKING["steering_command"] * tracking_kernel(c.state.speeds[:, 1] - c.command[:, 1])
 
 
 @reward_term("position_alignment")
@@ -185,10 +190,14 @@ def collision_avoidance(c: RewardContext) -> Tensor:
     return -10.0 * (c.state.other_force.norm(dim=-1) > CONTACT_THRESHOLD).to(c.action.dtype)
 
 
+TERMINATION = -10.0
+"""-k19: what an early termination costs."""
+
+
 @reward_term("termination")
 def termination(c: RewardContext) -> Tensor:
     """r17 = -k19 [early termination]."""
-    return -10.0 * c.terminated.to(c.action.dtype)
+    return TERMINATION * c.terminated.to(c.action.dtype)
 
 
 def outside_polygon(point: Tensor, feet: Tensor) -> Tensor:

@@ -60,6 +60,19 @@ def rotate_back(rotation: Tensor, vector: Tensor) -> Tensor:
     return (rotation * vector.unsqueeze(-1)).sum(-2)
 
 
+def rotate_about(vector: Tensor, rotation_vector: Tensor) -> Tensor:
+    """``vector`` turned about the axis of ``rotation_vector`` by its length (Rodrigues' formula).
+
+    Args:
+        vector: (N, 3).
+        rotation_vector: axis times angle, rad, (N, 3).
+    """
+    angle = rotation_vector.norm(dim=-1, keepdim=True)
+    axis = rotation_vector / angle.clamp_min(1e-12)
+    along = (axis * vector).sum(-1, keepdim=True) * axis
+    return along + torch.cos(angle) * (vector - along) + torch.sin(angle) * torch.linalg.cross(axis, vector)
+
+
 def wrap(angle: Tensor) -> Tensor:
     """The angle in (-π, π]."""
     return torch.atan2(torch.sin(angle), torch.cos(angle))

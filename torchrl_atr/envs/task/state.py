@@ -44,6 +44,7 @@ class RidingState:
         platform_rotation: (N, 3, 3); platform_euler: (N, 3).
         platform_angular_velocity, platform_angular_acceleration: world frame, (N, 3).
         speeds: the drive law's forward speed and yaw rate in P_planar, (N, 2).
+        driven_acceleration: v̇ and α that the law gives at this tilt, m/s² and rad/s², (N, 2).
         foot_position, foot_force: (N, 4, 3); forces act on the foot.
         other_force: contact force on the rest of the robot, (N, 3).
         com: the robot's centre of mass, (N, 3).
@@ -67,6 +68,7 @@ class RidingState:
     platform_angular_velocity: Tensor
     platform_angular_acceleration: Tensor
     speeds: Tensor
+    driven_acceleration: Tensor
     foot_position: Tensor
     foot_force: Tensor
     other_force: Tensor
@@ -164,6 +166,7 @@ class StateReader:
             platform_angular_velocity=now.platform_angular,
             platform_angular_acceleration=rates["platform_angular"],
             speeds=_float(engine.speeds[rows]),
+            driven_acceleration=_float(engine.driven_acceleration(rows)),
             foot_position=sensors[:, layout.sensors["foot_position"]].unflatten(-1, (-1, 3)),
             foot_force=foot_force,
             other_force=robot_force - foot_force.sum(-2),

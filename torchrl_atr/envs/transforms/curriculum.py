@@ -45,6 +45,8 @@ class CommandCurriculum(Transform):
         window: Steps that a command lasts (5 s at 50 Hz).
         score_from: Steps at the start of each window that are left out of the score.
         grid: The cells and the update rule.
+        rest_key: If given, an entry of the reset that is zero for rows which start at rest, ``(*B, 2)``: the first
+            window of the others, who were given some of what is asked, is not scored.
         command_key: Where the command is read and written, ``(*B, 2)``, m/s and rad/s.
         seed: Seed of the transform's generator.
 
@@ -60,6 +62,7 @@ class CommandCurriculum(Transform):
     weights: Tensor
     _required: Tensor
     rows: CommandRows
+    _started: Tensor
 
     def __init__(
         self,
@@ -70,6 +73,7 @@ class CommandCurriculum(Transform):
         window: int = 250,
         score_from: int = 0,
         grid: CommandGrid | None = None,
+        rest_key: NestedKey | None = None,
         command_key: NestedKey = "command",
         seed: int | None = None,
     ) -> None:
@@ -85,7 +89,7 @@ class CommandCurriculum(Transform):
             raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
         self.grid = CommandGrid() if grid is None else grid
         self.window, self.score_from = int(window), int(score_from)
-        self.command_key = unravel_key(command_key)
+        self.command_key, self.rest_key = unravel_key(command_key), rest_key
         self._generator = torch.Generator()
         if seed is None:
             self._generator.seed()
@@ -172,9 +176,13 @@ class CommandCurriculum(Transform):
         rows = self.rows.mask(None if fresh else tensordict.get("_reset", None))
         self.rows.restart(rows)
         self._draw(rows)
+        self._started = rows
         return tensordict.set(self.command_key, self.command)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        if self.rest_key is not None:
+            moving = (tensordict_reset.get(self.rest_key) != 0).flatten(0, -2).any(-1)
+            self.rows.cells = self.rows.cells.masked_fill(self._started & moving.to(self._started.device), -1)
         return tensordict_reset.set(self.command_key, self.command)
 
     @torch.no_grad()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NoReturn
 
 import torch
@@ -23,7 +24,9 @@ class RunawayTermination(Transform):
     Args:
         curriculum: whose frontier bounds the commands.
         margin: added to the largest ``|c_v|``, m/s, and ``|c_ω|``, rad/s.
+        penalty: what ending an episode early costs (r17); added to each of ``reward_keys``.
         speeds_key: forward speed and yaw rate, ``(*B, 2)``.
+        reward_keys: the reward and its term, ``(*B, 1)``.
 
     Raises:
         ValueError: if a margin is not positive.
@@ -37,18 +40,24 @@ class RunawayTermination(Transform):
         self,
         curriculum: CommandCurriculum,
         margin: tuple[float, float] = (2.0, 2.0),
+        penalty: float = 0.0,
         speeds_key: NestedKey = "speeds",
+        reward_keys: Sequence[NestedKey] = ("reward", ("reward_terms", "termination")),
     ) -> None:
         super().__init__(in_keys=[speeds_key], out_keys=[])
         if not all(value > 0 for value in margin):
             raise ValueError(f"margin must be two positive numbers (m/s, rad/s), got {margin}")
-        self.margin = (float(margin[0]), float(margin[1]))
+        self.margin, self.penalty = (float(margin[0]), float(margin[1])), float(penalty)
+        self.reward_keys = tuple(reward_keys)
         self._curriculum = [curriculum]  # in a list: a part of the stack, not a submodule of this transform
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         speeds = next_tensordict.get(self.in_keys[0])
         limit = torch.tensor(self._curriculum[0].frontier) + torch.tensor(self.margin)
         away = (speeds.abs() > limit.to(speeds)).any(-1, keepdim=True)
+        cost = self.penalty * (away & ~next_tensordict.get("terminated"))
+        for key in self.reward_keys if self.penalty else ():
+            next_tensordict.set(key, next_tensordict.get(key) + cost)
         for key in ("terminated", "done"):
             next_tensordict.set(key, next_tensordict.get(key) | away)
         return next_tensordict

@@ -18,6 +18,7 @@ def riding_transforms(
     history_length: int = 10,
     max_steps: int = 1000,
     runaway_margin: tuple[float, float] | None = None,
+    runaway_penalty: float = 0.0,
     **curriculum: Any,
 ) -> Compose:
     """Command, observation, history, time limit and episode reward, in the order that makes them agree.
@@ -32,6 +33,7 @@ def riding_transforms(
         history_length: H, past observations in ``history``.
         max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
         runaway_margin: If given, of a :class:`RunawayTermination` behind the curriculum, m/s and rad/s.
+        runaway_penalty: Added to the reward of a runaway.
         **curriculum: Further arguments of :class:`CommandCurriculum`, such as ``window``, ``grid`` or
             ``seed``.
 
@@ -43,7 +45,7 @@ def riding_transforms(
         ['CommandCurriculum', 'CatTensors', 'ObservationHistory', 'StepCounter', 'RewardSum']
     """
     command = CommandCurriculum(tracking_max, **curriculum)
-    guards = [] if runaway_margin is None else [RunawayTermination(command, runaway_margin)]
+    guards = [] if runaway_margin is None else [RunawayTermination(command, runaway_margin, runaway_penalty)]
     return Compose(
         command,
         *guards,

@@ -1,0 +1,32 @@
+"""What the critic sees besides the state: where the tilt of this moment leads, measured as the reward measures it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.task.rewards import tracking_kernel
+from torchrl_atr.envs.task.state import RidingState
+
+HORIZONS = (0.0, 0.5, 1.0, 2.0)
+"""Seconds ahead at which the tracking kernels are evaluated."""
+
+
+def outlook(state: RidingState, command: Tensor) -> Tensor:
+    """Deck tilt, driven accelerations, tracking errors and the tracking kernels a few moments ahead.
+
+    A lean pays seconds later, through the tilt it causes, and the yaw drive is a product: sgn(θ_y) clip(-θ_x). A value
+    function that has to find this in joint angles credits a lean late and through much noise; told outright, the
+    advantage of a lean is seen at once. Only the critic reads it, and the critic is not deployed.
+
+    Args:
+        state: N robots.
+        command: (c_v, c_ω), (N, 2).
+
+    Returns:
+        (N, 14): roll and pitch of the deck, rad; driven v̇ and α; speed errors; exp(-|e|/0.5) of both at each of
+        :data:`HORIZONS` if the accelerations lasted.
+    """
+    error = state.speeds - command
+    ahead = [tracking_kernel(error + horizon * state.driven_acceleration) for horizon in HORIZONS]
+    return torch.cat([state.platform_euler[:, :2], state.driven_acceleration, error, *ahead], -1)
