@@ -100,10 +100,10 @@ class ActorBackbone(nn.Module):
         super().__init__()
         basis = torch.eye(action_features) if noise_basis is None else noise_basis
         self.register_buffer("noise_basis", check_basis(basis, action_features))
-        # the network answers in units of the exploration along each column: an optimiser step of a given size is then
-        # the same divergence in each, and what is explored little does not use up the trust region
-        unit = torch.as_tensor(init_std, dtype=basis.dtype).expand(action_features)
-        self.register_buffer("head", unit.unsqueeze(-1) * basis.T)
+        # Adam's steps are alike in all outputs. In units of the exploration's variance, a column's share of the
+        # divergence follows what its exploration can teach: what is explored little does not use up the trust region.
+        std = torch.as_tensor(init_std, dtype=basis.dtype).expand(action_features)
+        self.register_buffer("head", (std.square() / std.max()).unsqueeze(-1) * basis.T)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
         in_features = observation_norm.shape.numel() + latent_features + extrinsic_norm.shape.numel()

@@ -18,8 +18,8 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor
 def leg_synergies(joints: int = 3) -> Tensor:
     """Orthonormal directions in which four legs move together or against each other.
 
-    The columns are the four Hadamard patterns over the legs (common; then two legs against the other two, in three ways)
-    for each joint of a leg. The first ``joints`` columns move all legs alike: they lean, shift and lift the body, which
+    The columns are the four Hadamard patterns over the legs (common; then two legs against two, in three ways) for each
+    joint of a leg. The first ``joints`` columns move all legs alike: they lean, shift and lift the body, which
     is what tilts a deck; independent noise in twelve joints mostly strains the legs against each other.
 
     Args:

@@ -54,7 +54,7 @@ class NormalizedEstimator(nn.Module):
         self.side_norm = side_norm
 
     def forward(self, history: Tensor, *side: Tensor) -> Tensor:
-        """Map a raw history (*B, H, D), and a side input (*B, S) if built for it, to the estimate (*B, out_features)."""
+        """Map a raw history (*B, H, D), and a side input (*B, S) if any, to the estimate (*B, out_features)."""
         x = self.input_norm(history)
         if self.side_norm is not None:
             rows = [self.side_norm(value).unsqueeze(-2).expand(*x.shape[:-1], -1) for value in side]
