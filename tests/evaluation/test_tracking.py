@@ -198,7 +198,7 @@ def test_the_deployed_policy_on_the_real_env():
     assert result.rms_speed_error.shape == (2, 1, 2)
     assert np.isfinite(result.rms_speed_error).all()
     np.testing.assert_array_equal(result.rms_speed_error, again.rms_speed_error)
-    assert set(result.policy_reads) == {"history", "observation"}
+    assert set(result.policy_reads) == {"history", "observation", "odometry"}
     assert result.rms_speed_error[0, 0, 0] != result.rms_speed_error[0, 0, 1]  # intrinsics of their own
     extrinsic = env.observation_spec["privileged", "extrinsic"].shape[-1]
     assert len(result.estimators.names) == extrinsic

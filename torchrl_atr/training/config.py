@@ -17,6 +17,9 @@ from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
 from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.modules import SOURCES, Source
 
+COLLECTORS = ("direct", "process")
+"""Engines that collect batches."""
+
 
 class ConfigError(UserError, ValueError):
     """A configuration that names something unknown or holds an impossible value."""
@@ -37,6 +40,8 @@ class TrainConfig:
         seed: of everything.
         device: of the learner; physics stays on the CPU.
         num_threads: physics threads; 0 for the CPUs this process may use.
+        collector: where the robots are simulated: ``direct`` in this process, ``process`` in ``workers`` others.
+        workers: processes that share the robots and the CPUs.
         gamma, gae_lambda: discount and GAE's λ.
         epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
         learning_rate, max_learning_rate, target_kl: of the policy; adapted to the measured KL divergence.
@@ -77,6 +82,8 @@ class TrainConfig:
     seed: int = 0
     device: str = "cpu"
     num_threads: int = 0
+    collector: str = "direct"
+    workers: int = 2
     gamma: float = 0.995
     gae_lambda: float = 0.95
     epochs: int = 2
@@ -133,6 +140,12 @@ class TrainConfig:
                 f"episode_seconds={self.episode_seconds:g} must be at least command_seconds={self.command_seconds:g}: "
                 "no command would ever be scored"
             )
+        if self.collector not in COLLECTORS:
+            raise ConfigError(f"collector={self.collector!r} is unknown; choose one of {', '.join(COLLECTORS)}")
+        if self.collector != "direct" and self.num_envs % self.workers:
+            raise ConfigError(
+                f"num_envs={self.num_envs} cannot be shared evenly by workers={self.workers}; choose a multiple of it"
+            )
         _check_device(self.device)
         for name in ("init_std", "relative_std", "final_std"):
             if self.min_std >= getattr(self, name):
@@ -165,6 +178,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "max_minutes": (0, 1e9),
     "seed": (0, 2**31 - 1),
     "num_threads": (0, 4096),
+    "workers": (1, 4096),
     "gamma": (0, 0.99999),
     "gae_lambda": (0, 1),
     "epochs": (1, 1000),

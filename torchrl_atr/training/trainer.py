@@ -14,8 +14,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.collectors import Collector
-from torchrl.envs import ExplorationType, TransformedEnv
+from torchrl.envs import TransformedEnv
 
 from torchrl_atr._files import atomic
 from torchrl_atr.envs import make_riding_env
@@ -24,14 +23,13 @@ from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, get_estimator, leg_synergies, make_networks
 from torchrl_atr.training.checkpoint import NAME, CheckpointError, load_checkpoint, save_checkpoint
+from torchrl_atr.training.collection import Collection
 from torchrl_atr.training.config import ConfigError, TrainConfig, make_config
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 
-_DROPPED: tuple[Any, ...] = (("next", "history"), "reward_terms", "episode_reward", ("next", "command"))
-# Neither GAE nor the losses read these; the next history alone would be a third of a batch.
 DEPLOYED: dict[str, Any] = {"moving_start": 0.0, "pushes": False, "runaway_margin": None, "max_steps": 2**31 - 1}
 """Env arguments without what belongs to training only: a ride from rest that nothing but a fall ends."""
 
@@ -157,23 +155,14 @@ class Trainer:
         write_json(self.run / "config.json", config.to_dict())
         self.save()
         policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
-        collector = Collector(
-            self.env,
-            correlate(policy, config.noise_correlation),
-            frames_per_batch=config.frames_per_batch,
-            total_frames=-1,
-            exploration_type=ExplorationType.RANDOM,
-            policy_device=config.device,
-            env_device="cpu",
-            storing_device="cpu",
-            postproc=partial(_drop, keys=_DROPPED),
-            auto_register_policy_transforms=False,
+        self.collection = Collection(
+            config, self.env, partial(make_env, config), correlate(policy, config.noise_correlation)
         )
         saved = time.monotonic()
         started = time.monotonic() - self.seconds
         try:
             with self.progress:
-                batches = iter(collector)
+                batches = iter(self.collection)
                 while not self.finished:
                     self._anneal()
                     metrics = self._iterate(next(batches), started)
@@ -186,7 +175,7 @@ class Trainer:
         except KeyboardInterrupt:
             sys.stdout.write(f"stopped; go on with: torchrl-atr train --resume {self.run}\n")
         finally:
-            collector.shutdown(close_env=False)
+            self.collection.shutdown()
             self.save()
 
     @property
@@ -211,6 +200,8 @@ class Trainer:
         collected = time.monotonic()
         metrics = batch_metrics(batch, self._tracking_max)
         metrics.update(self.learner.update(batch))
+        self.collection.publish()
+        self.collection.exchange()
         now = time.monotonic()
         elapsed = now - started
         metrics["collect_seconds"] = collected - started - self.seconds
@@ -223,7 +214,7 @@ class Trainer:
         metrics["command_area"] = self.curriculum.command_area[0]
         metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
         metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
-        metrics["diverged"] = self.env.base_env.num_diverged
+        metrics["diverged"] = self.collection.num_diverged
         return metrics
 
     def save(self) -> None:
@@ -253,10 +244,6 @@ class Trainer:
         self.seconds = state["seconds"]
         torch.set_rng_state(state["rng"])
         self.env.base_env.rng.set_state(state["env_rng"])
-
-
-def _drop(batch: TensorDictBase, keys: tuple[Any, ...]) -> TensorDictBase:
-    return batch.exclude(*keys)
 
 
 def write_json(path: Path, value: Any) -> None:
