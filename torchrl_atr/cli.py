@@ -45,7 +45,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_evaluate(commands.add_parser("evaluate", help="measure the deployed policy over a grid of commands"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
     model = commands.add_parser("model", help="write a robot on its transporter as one MJCF file")
-    model.add_argument("robot")
+    model.add_argument("robot", help="a name, or a .toml file that describes one of your own")
     model.add_argument("transporter")
     model.add_argument("--output", type=Path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer")
     listing = commands.add_parser("list", help="list what is registered")
@@ -55,7 +55,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _add_train(parser: argparse.ArgumentParser) -> None:
     # names match TrainConfig's fields; None means "as the config file or the default says"
-    parser.add_argument("--robot")
+    parser.add_argument("--robot", help="a name, or a .toml file that describes one of your own")
     parser.add_argument("--transporter")
     parser.add_argument("--profile", help="how the paper's open points are read")
     parser.add_argument("--estimator", help="a registered estimator")
@@ -182,10 +182,10 @@ def play(arguments: argparse.Namespace) -> None:
 
 def write_model(arguments: argparse.Namespace) -> None:
     """``torchrl-atr model``."""
-    from torchrl_atr.envs import ROBOTS, TRANSPORTERS, Readings
+    from torchrl_atr.envs import TRANSPORTERS, Readings, get_robot
     from torchrl_atr.envs.models import scene_spec
 
-    spec = scene_spec(ROBOTS.get(arguments.robot), TRANSPORTERS.get(arguments.transporter), Readings())
+    spec = scene_spec(get_robot(arguments.robot), TRANSPORTERS.get(arguments.transporter), Readings())
     arguments.output.write_text(spec.to_xml())
     sys.stdout.write(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter\n")
 
@@ -196,9 +196,19 @@ def _list(arguments: argparse.Namespace) -> None:
 
 
 def _robots() -> Sequence[str]:
-    from torchrl_atr.envs import ROBOTS
+    import mujoco
 
-    return ROBOTS.names()
+    from torchrl_atr.envs import ROBOTS
+    from torchrl_atr.envs.models import LEGS, load_robot
+
+    heads = f"{'name':12} {'group':5} {'mass kg':>8} {'h_des m':>8} {'kp':>6} {'kd':>6}"
+    lines = [f"{heads}  joints of {LEGS[0]}; feet {', '.join(LEGS)}"]
+    for name in ROBOTS.names():
+        robot = ROBOTS.get(name)
+        mass = mujoco.mj_getTotalmass(load_robot(robot)[1])
+        figures = f"{mass:8.2f} {robot.standing_height:8.2f} {robot.kp:6.1f} {robot.kd:6.2f}"
+        lines.append(f"{name:12} {robot.group:5} {figures}  {' '.join(robot.joints[:3])}; {' '.join(robot.feet)}")
+    return lines
 
 
 def _transporters() -> Sequence[str]:

@@ -1,7 +1,16 @@
 """The riding task: robots on transporters as TorchRL envs, their transforms, and a dm_control suite."""
 
 from torchrl_atr.envs.factory import make_riding_env
-from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, RobotSpec, TransporterSpec
+from torchrl_atr.envs.models import (
+    ROBOTS,
+    TRANSPORTERS,
+    RobotError,
+    RobotSpec,
+    TransporterSpec,
+    get_robot,
+    read_robot,
+    register_robot,
+)
 from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings
 from torchrl_atr.envs.riding import RidingEnv
 
@@ -11,8 +20,12 @@ __all__ = [
     "TRANSPORTERS",
     "Readings",
     "RidingEnv",
+    "RobotError",
     "RobotSpec",
     "TransporterSpec",
     "get_readings",
+    "get_robot",
     "make_riding_env",
+    "read_robot",
+    "register_robot",
 ]

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from torchrl.envs import TransformedEnv
 
+from torchrl_atr.envs.models import RobotSpec
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.riding import PhysicsEngine, RidingEnv
 from torchrl_atr.envs.task.randomization import Randomization
@@ -15,7 +17,7 @@ from torchrl_atr.envs.transforms import CommandGrid, riding_transforms
 
 
 def make_riding_env(
-    robot: str = "a1",
+    robot: str | Path | RobotSpec = "a1",
     transporter: str = "single_board",
     num_envs: int = 256,
     *,
@@ -36,7 +38,7 @@ def make_riding_env(
     """A :class:`RidingEnv` behind command curriculum, observation, history, time limit and episode reward.
 
     Args:
-        robot: name of a registered robot.
+        robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
         transporter: name of a registered transporter.
         num_envs: N.
         physics: ``"batch"`` or ``"dm_control"``.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Literal
 
 import mujoco
@@ -11,7 +12,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, Scene, build_scene
+from torchrl_atr.envs.models import TRANSPORTERS, RobotSpec, Scene, build_scene, get_robot
 from torchrl_atr.envs.physics.engine import DECIMATION, Engine
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.task import randomization as intrinsics
@@ -29,7 +30,7 @@ class RidingEnv(EnvBase):
     it. Without a command it is zero. Partial resets (``_reset`` mask) touch only the rows they name.
 
     Args:
-        robot: name of a registered robot.
+        robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
         transporter: name of a registered transporter.
         num_envs: N.
         physics: ``"batch"`` (N robots, all CPUs) or ``"dm_control"`` (one robot, the reference).
@@ -42,6 +43,7 @@ class RidingEnv(EnvBase):
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
+        RobotError: for a robot that cannot ride as it is described.
         ValueError: for an impossible ``num_envs``, ``physics`` or ``randomization``, a NaN action or a
             misshapen command.
 
@@ -61,7 +63,7 @@ class RidingEnv(EnvBase):
 
     def __init__(
         self,
-        robot: str = "a1",
+        robot: str | Path | RobotSpec = "a1",
         transporter: str = "single_board",
         num_envs: int = 256,
         physics: PhysicsEngine = "batch",
@@ -76,7 +78,7 @@ class RidingEnv(EnvBase):
             raise ValueError(f"num_envs={num_envs!r}: choose a whole number of robots, 1 or more")
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
         readings = get_readings(profile)
-        scene = build_scene(ROBOTS.get(robot), TRANSPORTERS.get(transporter), readings)
+        scene = build_scene(get_robot(robot), TRANSPORTERS.get(transporter), readings)
         self.rng = torch.Generator()
         if seed is None:
             self.rng.seed()  # from the operating system: forked workers must not share intrinsics

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from dm_control.rl import control
 from dm_env import specs
 from numpy.typing import ArrayLike, NDArray
 
-from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
+from torchrl_atr.envs.models import TRANSPORTERS, RobotSpec, build_scene, get_robot
 from torchrl_atr.envs.physics.dmc import DmControlEngine, RidingPhysics
 from torchrl_atr.envs.physics.engine import DECIMATION
 from torchrl_atr.envs.profiles import Readings, get_readings
@@ -19,7 +20,7 @@ from torchrl_atr.envs.task.randomization import Randomization
 
 
 def load(
-    robot: str = "a1",
+    robot: str | Path | RobotSpec = "a1",
     transporter: str = "single_board",
     *,
     profile: str | Readings = "default",
@@ -31,7 +32,7 @@ def load(
     """One robot riding one transporter, through dm_control's API.
 
     Args:
-        robot: name of a registered robot.
+        robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
         transporter: name of a registered transporter.
         profile: name of a profile, or readings of your own.
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
@@ -44,6 +45,7 @@ def load(
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
+        RobotError: for a robot that cannot ride as it is described.
         ValueError: for an unknown randomization.
 
     Example:
@@ -53,7 +55,7 @@ def load(
         [0.5, 0.0]
     """
     readings = get_readings(profile)
-    scene = build_scene(ROBOTS.get(robot), TRANSPORTERS.get(transporter), readings)
+    scene = build_scene(get_robot(robot), TRANSPORTERS.get(transporter), readings)
     engine = DmControlEngine(scene, readings)
     core = RidingTask(engine, readings, randomization, pushes, torch.Generator())
     task = SuiteTask(core, random)

@@ -13,7 +13,8 @@ from typing import Any
 import torch
 
 from torchrl_atr._errors import UserError
-from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
+from torchrl_atr.envs.models import TRANSPORTERS, get_robot
+from torchrl_atr.envs.models.robot_file import is_robot_file
 from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.modules import SOURCES, Source
 
@@ -30,7 +31,8 @@ class TrainConfig:
     """Everything a run depends on besides the code.
 
     Attributes:
-        robot, transporter, profile: names from the registries.
+        robot: name from the registry, or path of a ``.toml`` file that describes one (kept as an absolute path).
+        transporter, profile: names from the registries.
         estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
         imports: modules imported first, so that they can register estimators of their own.
         num_envs: robots simulated at once.
@@ -125,7 +127,9 @@ class TrainConfig:
             value = getattr(self, name)
             if not isinstance(value, int | float) or not low <= value <= high or math.isnan(value):
                 raise ConfigError(f"{name}={value!r} is out of range; choose a number in [{low:g}, {high:g}]")
-        ROBOTS.get(self.robot)
+        get_robot(self.robot)
+        if is_robot_file(self.robot):  # the run must find it from wherever it is evaluated
+            object.__setattr__(self, "robot", str(Path(self.robot).resolve()))
         TRANSPORTERS.get(self.transporter)
         PROFILES.get(self.profile)
         if self.act_source not in SOURCES:

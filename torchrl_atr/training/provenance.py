@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import platform
+import shlex
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -39,7 +40,9 @@ def command_line(config: TrainConfig) -> str:
         >>> command_line(TrainConfig(gamma=0.9))
         'torchrl-atr train --robot a1 --transporter single_board --seed 0 --set gamma=0.9'
     """
-    parts = [f"torchrl-atr train --robot {config.robot} --transporter {config.transporter} --seed {config.seed}"]
+    parts = [
+        f"torchrl-atr train --robot {shlex.quote(config.robot)} --transporter {config.transporter} --seed {config.seed}"
+    ]
     for field in dataclasses.fields(config):
         value = getattr(config, field.name)
         if field.name not in ("robot", "transporter", "seed") and value != field.default:

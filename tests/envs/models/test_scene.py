@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -110,18 +107,6 @@ def test_joints_and_feet_are_listed_right_legs_first(scene):
     assert A1.feet == tuple(f"{leg}_foot" for leg in LEGS)
 
 
-def test_addresses_follow_names_in_a_file_with_another_order(tmp_path: Path):
-    text = A1.mjcf.read_text()
-    lines = text.splitlines()
-    actuators = [line for line in lines if "<position name=" in line]
-    shuffled = iter(actuators[::-1])
-    path = tmp_path / "reversed.xml"
-    path.write_text("\n".join(next(shuffled) if line in actuators else line for line in lines))
-    scene = build_scene(dataclasses.replace(A1, mjcf=path), BOARD)
-    np.testing.assert_array_equal(scene.layout.actuators, np.arange(12)[::-1])
-    np.testing.assert_allclose(scene.model.key_ctrl[0][scene.layout.actuators], A1.q0)
-
-
 def test_self_balancing_gains_follow_their_unit():
     for readings, unit in ((Readings(), 180 / np.pi), (get_readings("literal"), 1.0)):
         scene = build_scene(A1, BOARD, readings)
@@ -170,8 +155,3 @@ def test_unknown_names_list_the_known_ones(registry, kind):
         registry.get("hovercraft")
     with pytest.raises(ValueError, match="registered already"):
         registry.register(registry.names()[0], registry.get(registry.names()[0]))
-
-
-def test_a_missing_model_file_is_named(tmp_path: Path):
-    with pytest.raises(FileNotFoundError, match=r"gone\.xml"):
-        build_scene(dataclasses.replace(A1, mjcf=tmp_path / "gone.xml"), BOARD)

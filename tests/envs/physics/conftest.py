@@ -29,12 +29,19 @@ _BLOCK = f"""
 """
 
 
+class LeglessSpec(RobotSpec):
+    """A rider of no joints, which a real spec would refuse."""
+
+    def __post_init__(self) -> None:
+        pass
+
+
 @pytest.fixture
 def block_scene(tmp_path: Path) -> Scene:
     """The block on the single board."""
     path = tmp_path / "block.xml"
     path.write_text(_BLOCK)
-    robot = RobotSpec(
+    robot = LeglessSpec(
         name="block",
         mjcf=path,
         trunk="trunk",
@@ -43,6 +50,7 @@ def block_scene(tmp_path: Path) -> Scene:
         q0=(),
         kp=0.0,
         kd=0.0,
+        torque_limits=(),
         action_scale=1.0,
         standing_height=CENTRE,
         min_height=0.0,

@@ -1,6 +1,8 @@
 """What exists: robots, transporters, and the scene that joins them."""
 
-from torchrl_atr.envs.models.robot import LEGS, ROBOTS, RobotSpec
+from torchrl_atr.envs.models.loading import load_robot
+from torchrl_atr.envs.models.robot import LEGS, ROBOTS, RobotError, RobotSpec, register_robot
+from torchrl_atr.envs.models.robot_file import get_robot, read_robot
 from torchrl_atr.envs.models.scene import Layout, Scene, build_scene, scene_spec
 from torchrl_atr.envs.models.transporter import TRANSPORTERS, TransporterSpec
 
@@ -9,9 +11,14 @@ __all__ = [
     "ROBOTS",
     "TRANSPORTERS",
     "Layout",
+    "RobotError",
     "RobotSpec",
     "Scene",
     "TransporterSpec",
     "build_scene",
+    "get_robot",
+    "load_robot",
+    "read_robot",
+    "register_robot",
     "scene_spec",
 ]

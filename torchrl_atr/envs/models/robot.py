@@ -1,38 +1,53 @@
-"""Robots: an MJCF file of our own plus the few facts about it that the task needs."""
+"""Robots: an MJCF file plus the few facts about it that the task needs."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from torchrl_atr._errors import UserError
 from torchrl_atr._registry import Registry
 
 _MODELS = Path(__file__).parent / "robots"
 
 LEGS = ("FR", "RR", "FL", "RL")
 """Legs in the order of the paper's two-board equations (right first), used everywhere outside the MJCF."""
+JOINTS_PER_LEG = 3
+"""Abduction, thigh, calf: the order within a leg, from the trunk to the foot."""
+GROUPS = ("G1", "G2")
+
+
+class RobotError(UserError, ValueError):
+    """A robot that cannot ride as it is described; the message names the culprit and the remedy."""
 
 
 @dataclass(frozen=True)
 class RobotSpec:
     """What the task knows of a robot beyond its MJCF file.
 
-    Joints and feet are listed leg by leg in the order of :data:`LEGS`, three joints a leg (abduction, thigh,
-    calf); the MJCF file may order them as it likes, since every address is looked up by name.
+    Joints and feet are listed leg by leg in the order of :data:`LEGS`, three joints a leg (abduction, thigh, calf); the
+    MJCF file may order and name them as it likes, since every address is looked up by name. The robot faces along x.
 
     Attributes:
-        name: registry name.
-        mjcf: path of the MJCF file; its root body carries a free joint.
-        trunk: name of the root body.
-        joints: the twelve leg joints; each is driven by one position actuator.
-        feet: the four foot geoms; a site of the same name marks each foot.
+        name: what messages and models call it.
+        mjcf: path of the MJCF file. Its actuators, sensors and keyframes are replaced by the scene's own.
+        trunk: name of the root body, which carries a free joint.
+        joints: names of the twelve leg hinges; each is driven by one position actuator.
+        feet: names of the four foot geoms.
         q0: nominal standing joint angles, rad, in the order of ``joints``.
-        kp: nominal PD stiffness, N m/rad (Table II randomises it as a ratio).
-        kd: nominal PD damping, N m s/rad.
+        kp: nominal PD stiffness of every joint, N m/rad (Table II randomises it as a ratio).
+        kd: nominal PD damping, N m s/rad; the joints' own damping and friction in the MJCF come on top.
+        torque_limits: of abduction, thigh and calf, N m.
         action_scale: joint displacement for a unit action, rad.
-        standing_height: h_des above the deck's top, m (reward r7).
-        min_height: base height above the deck's top below which the robot has fallen, m.
-        group: transporter size class of Table IV, ``"G1"`` or ``"G2"``.
+        standing_height: h_des of the trunk's origin above the deck's top, m (reward r7).
+        min_height: height of the trunk's origin above the deck's top below which the robot has fallen, m.
+        group: size class of Table IV, ``"G1"`` or ``"G2"``; transporters are sized for one.
+
+    Raises:
+        RobotError: for a wrong number of joints, feet or angles, a name given twice, or an impossible value.
     """
 
     name: str
@@ -43,33 +58,175 @@ class RobotSpec:
     q0: tuple[float, ...]
     kp: float
     kd: float
+    torque_limits: tuple[float, ...]
     action_scale: float
     standing_height: float
     min_height: float
     group: str
 
+    def __post_init__(self) -> None:
+        _check_text(self, "name", "trunk", "group")
+        if not isinstance(self.mjcf, str | Path):
+            raise self.error(f"mjcf={self.mjcf!r} is not a path; give that of the MJCF file")
+        object.__setattr__(self, "mjcf", Path(self.mjcf))
+        joints = len(LEGS) * JOINTS_PER_LEG
+        _check_list(self, "joints", str, joints, f"name {JOINTS_PER_LEG} hinges for each of {', '.join(LEGS)}")
+        _check_list(self, "feet", str, len(LEGS), f"name one geom for each of {', '.join(LEGS)}")
+        _check_list(self, "q0", float, joints, "give one angle in rad for each joint")
+        _check_list(self, "torque_limits", float, JOINTS_PER_LEG, "give those of abduction, thigh and calf in N m")
+        for angle, joint in zip(self.q0, self.joints):
+            if abs(angle) > 2 * math.pi:
+                raise self.error(f"q0 of joint {joint!r} is {angle:g}: degrees? give radians")
+        for limit in self.torque_limits:
+            _check_positive(self, "torque_limits", limit)
+        for name in ("kp", "kd", "action_scale", "standing_height", "min_height"):
+            _check_positive(self, name, getattr(self, name))
+        if self.min_height >= self.standing_height:
+            raise self.error(
+                f"min_height={self.min_height:g} must be below standing_height={self.standing_height:g}: "
+                "it is where the robot counts as fallen"
+            )
+        if self.group not in GROUPS:
+            raise self.error(f"group={self.group!r} is unknown; choose one of {', '.join(GROUPS)}")
 
-def _unitree_joints() -> tuple[str, ...]:
-    return tuple(f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "thigh", "calf"))
+    def error(self, message: str) -> RobotError:
+        """A :class:`RobotError` that says whose it is."""
+        return RobotError(f"robot {self.name!r}: {message}")
+
+
+def _check_text(robot: RobotSpec, *names: str) -> None:
+    for name in names:
+        value = getattr(robot, name)
+        if not isinstance(value, str) or not value:
+            raise robot.error(f"{name}={value!r} is not a name; give a text")
+
+
+def _check_list(robot: RobotSpec, name: str, kind: type, size: int, remedy: str) -> None:
+    """Makes a tuple of a list, after checking its entries."""
+    value = getattr(robot, name)
+    if not isinstance(value, Sequence) or isinstance(value, str):
+        raise robot.error(f"{name}={value!r} is not a list; {remedy}")
+    for entry in value:
+        if not (isinstance(entry, str) if kind is str else _is_number(entry)):
+            raise robot.error(f"{name} holds {entry!r}; {remedy}")
+    if len(value) != size:
+        raise robot.error(f"{name} has {len(value)} entries instead of {size}; {remedy}")
+    if kind is str and len(set(value)) < size:
+        twice = next(entry for entry in value if value.count(entry) > 1)
+        raise robot.error(f"{name} lists {twice!r} twice; {remedy}")
+    object.__setattr__(robot, name, tuple(value))
+
+
+def _check_positive(robot: RobotSpec, name: str, value: float) -> None:
+    if not _is_number(value) or value <= 0:
+        raise robot.error(f"{name}={value!r} must be a positive number")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 ROBOTS: Registry[RobotSpec] = Registry("robot")
 
-ROBOTS.register(
+
+def register_robot(name: str, spec: RobotSpec) -> RobotSpec:
+    """Makes a robot known by name wherever a robot's name is accepted.
+
+    Args:
+        name: to register it under; becomes the spec's ``name``.
+        spec: the robot.
+
+    Returns:
+        The registered spec.
+
+    Raises:
+        ValueError: if ``name`` is taken.
+
+    Example:
+        >>> import dataclasses
+        >>> stiff = register_robot("stiff_a1", dataclasses.replace(ROBOTS.get("a1"), kp=60.0))
+        >>> ROBOTS.get("stiff_a1").kp
+        60.0
+    """
+    return ROBOTS.register(name, dataclasses.replace(spec, name=name))
+
+
+def _joints(legs: Sequence[str], pattern: str, parts: Sequence[str]) -> tuple[str, ...]:
+    return tuple(pattern.format(leg, part) for leg in legs for part in parts)
+
+
+# Poses: reading A35. Gains: A13, for the heavy G2 robots scaled with their mass. Heights: where the robot settles.
+register_robot(
     "a1",
     RobotSpec(
         name="a1",
         mjcf=_MODELS / "a1.xml",
         trunk="trunk",
-        joints=_unitree_joints(),
+        joints=_joints(LEGS, "{}_{}_joint", ("hip", "thigh", "calf")),
         feet=tuple(f"{leg}_foot" for leg in LEGS),
-        # front thighs 0.8, rear thighs 1.0: the pose that the paper's ancestors stand in (reading A35)
         q0=(-0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 0.8, -1.5, 0.1, 1.0, -1.5),
         kp=40.0,
         kd=1.0,
+        torque_limits=(33.5, 33.5, 33.5),
         action_scale=0.25,
         standing_height=0.28,
         min_height=0.14,
         group="G1",
+    ),
+)
+register_robot(
+    "go1",
+    RobotSpec(
+        name="go1",
+        mjcf=_MODELS / "go1.xml",
+        trunk="trunk",
+        joints=_joints(LEGS, "{}_{}_joint", ("hip", "thigh", "calf")),
+        feet=tuple(f"{leg}_foot" for leg in LEGS),
+        q0=(-0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 0.8, -1.5, 0.1, 1.0, -1.5),
+        kp=40.0,
+        kd=1.0,
+        torque_limits=(23.7, 23.7, 35.55),
+        action_scale=0.25,
+        standing_height=0.30,
+        min_height=0.15,
+        group="G1",
+    ),
+)
+_ANYMAL_LEGS = ("RF", "RH", "LF", "LH")  # hind knees bend the other way
+register_robot(
+    "anymal_c",
+    RobotSpec(
+        name="anymal_c",
+        mjcf=_MODELS / "anymal_c.xml",
+        trunk="base",
+        joints=_joints(_ANYMAL_LEGS, "{}_{}", ("HAA", "HFE", "KFE")),
+        feet=tuple(f"{leg}_foot" for leg in _ANYMAL_LEGS),
+        q0=(0.0, 0.4, -0.8, 0.0, -0.4, 0.8, 0.0, 0.4, -0.8, 0.0, -0.4, 0.8),
+        kp=150.0,
+        kd=4.5,
+        torque_limits=(80.0, 80.0, 80.0),
+        action_scale=0.25,
+        standing_height=0.53,
+        min_height=0.26,
+        group="G2",
+    ),
+)
+_SPOT_LEGS = ("fr", "hr", "fl", "hl")
+register_robot(
+    "spot",
+    RobotSpec(
+        name="spot",
+        mjcf=_MODELS / "spot.xml",
+        trunk="body",
+        joints=_joints(_SPOT_LEGS, "{}_{}", ("hx", "hy", "kn")),
+        feet=tuple(f"{leg}_foot" for leg in _SPOT_LEGS),
+        q0=(-0.1, 0.9, -1.5, -0.1, 1.1, -1.5, 0.1, 0.9, -1.5, 0.1, 1.1, -1.5),
+        kp=150.0,
+        kd=4.5,
+        torque_limits=(45.0, 45.0, 115.0),
+        action_scale=0.25,
+        standing_height=0.49,
+        min_height=0.24,
+        group="G2",
     ),
 )

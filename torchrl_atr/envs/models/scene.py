@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from torchrl_atr.envs.models.loading import load_robot
 from torchrl_atr.envs.models.robot import RobotSpec
+from torchrl_atr.envs.models.stance import standing_qpos
 from torchrl_atr.envs.models.transporter import TransporterSpec
 from torchrl_atr.envs.profiles import Readings
 
@@ -78,18 +79,16 @@ def build_scene(robot: RobotSpec, transporter: TransporterSpec, readings: Readin
 
 def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> mujoco.MjSpec:
     """The editable scene with its keyframe ``stand``; ``to_xml()`` of it opens in ``python -m mujoco.viewer``."""
-    if not robot.mjcf.is_file():
-        raise FileNotFoundError(f"robot {robot.name!r}: there is no MJCF file at {robot.mjcf}")
-    spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+    spec, alone = load_robot(robot)
     spec.modelname = f"{robot.name}-{transporter.name}"
     _set_options(spec)
     _add_surroundings(spec)
-    robot_mass = float(mujoco.mj_getTotalmass(mujoco.MjModel.from_xml_path(str(robot.mjcf))))
+    robot_mass = float(mujoco.mj_getTotalmass(alone))
     _add_single_board(spec, transporter, readings, _ARMATURE_RATIO * robot_mass)
     _add_sensors(spec, robot)
     model = spec.compile()
     layout = _layout(model, robot)
-    qpos = _standing_qpos(model, layout, robot, transporter)
+    qpos = standing_qpos(model, robot, transporter, DECK_HEIGHT + transporter.size[2] / 2)
     key = spec.add_key(name="stand", qpos=qpos, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
     key.qvel = np.zeros(model.nv)
     return spec
@@ -112,7 +111,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
     spec.add_texture(
-        name="sky",
+        name="scene_sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
         rgb1=[0.55, 0.7, 0.9],
@@ -121,7 +120,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
         height=256,
     )
     spec.add_texture(
-        name="floor",
+        name="scene_floor",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
         rgb1=[0.72, 0.74, 0.76],
@@ -129,14 +128,14 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
         width=256,
         height=256,
     )
-    material = spec.add_material(name="floor", texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.05)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
+    material = spec.add_material(name="scene_floor", texrepeat=[0.5, 0.5], texuniform=True, reflectance=0.05)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "scene_floor"
     world = spec.worldbody
     world.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 0.05],
-        material="floor",
+        material="scene_floor",
         contype=0,
         conaffinity=0,
     )
@@ -196,7 +195,7 @@ def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
         spec.add_sensor(
             name=f"position_{foot}",
             type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM,
             objname=foot,
         )
     spec.add_sensor(
@@ -246,22 +245,3 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec) -> Layout:
         deck_body=model.body("platform").id,
         deck_geom=model.geom("deck").id,
     )
-
-
-def _standing_qpos(model: mujoco.MjModel, layout: Layout, robot: RobotSpec, transporter: TransporterSpec) -> np.ndarray:
-    """q0 with the feet level on the deck and the robot's centre of mass over the pivot."""
-    data = mujoco.MjData(model)
-    root = layout.root_qpos
-    data.qpos[layout.joint_qpos] = robot.q0
-    data.qpos[root : root + 7] = [0, 0, 0, 1, 0, 0, 0]
-    mujoco.mj_kinematics(model, data)
-    feet = np.stack([data.geom(foot).xpos for foot in robot.feet])
-    slope, _ = np.polyfit(feet[:, 0], feet[:, 2], 1)
-    pitch = math.atan(slope)  # turning by +pitch about y lowers the front by as much
-    data.qpos[root + 3 : root + 7] = [math.cos(pitch / 2), 0, math.sin(pitch / 2), 0]
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    soles = [data.geom(foot).xpos[2] - model.geom(foot).size[0] for foot in robot.feet]
-    com = data.subtree_com[layout.trunk_body]
-    data.qpos[root : root + 3] = [-com[0], -com[1], DECK_HEIGHT + transporter.size[2] / 2 - min(soles)]
-    return data.qpos.copy()

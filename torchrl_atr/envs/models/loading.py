@@ -1,0 +1,170 @@
+"""From a robot's MJCF file, ours or anyone's, to the rider of a scene: checked, stripped, driven by its spec's PD."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
+from torchrl_atr.envs.models.robot_file import nearest
+
+_IDENTITY = ("classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata")
+"""What an element of an ``MjSpec`` is rather than what it is set to; some cannot even be read on a default."""
+
+
+def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    """Reads the robot's MJCF file and makes it a rider.
+
+    The robot itself stays as the file has it: bodies, inertias, joints with their damping, friction and limits, meshes,
+    cameras, constraints. What surrounds or drives it goes: lights, floor and other bodies of the world, options,
+    keyframes, sensors, actuators. Twelve position actuators of the spec's gains and torque limits come instead, in
+    the order of ``robot.joints``. Its geoms collide with the transporter only, and by the deck's contact parameters.
+
+    Args:
+        robot: the rider.
+
+    Returns:
+        The editable model without surroundings, and the same compiled (without actuators).
+
+    Raises:
+        RobotError: if file and spec do not fit each other, or MuJoCo cannot compile the file.
+
+    Example:
+        >>> from torchrl_atr.envs.models import ROBOTS
+        >>> spec, model = load_robot(ROBOTS.get("go1"))
+        >>> len(spec.actuators), round(float(mujoco.mj_getTotalmass(model)), 3)
+        (12, 12.14)
+    """
+    if not robot.mjcf.is_file():
+        raise robot.error(f"there is no MJCF file at {robot.mjcf}")
+    try:
+        spec = mujoco.MjSpec.from_file(str(robot.mjcf))
+        for folder in ("meshdir", "texturedir"):  # absolute: the scene may be saved anywhere
+            setattr(spec, folder, str(robot.mjcf.parent.resolve() / Path(getattr(spec, folder))))
+        _strip(spec, robot)
+        model = spec.compile()
+    except ValueError as error:  # mujoco's own: it names the element, and the asset that is missing
+        raise robot.error(
+            f"MuJoCo cannot compile {robot.mjcf}: {' '.join(str(error).split())}. Does it open in "
+            "`python -m mujoco.viewer`? Mesh and texture files are looked up in its folder or its meshdir"
+        ) from error
+    _check_joints(model, robot)
+    _check_feet(model, robot)
+    _check_legs(model, robot)
+    _add_actuators(spec, model, robot)
+    return spec, model
+
+
+def _strip(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
+    """Removes all but the robot, and what would make it collide with anything but the deck."""
+    bodies = [body.name for body in spec.worldbody.bodies]
+    if robot.trunk not in bodies:
+        raise robot.error(f"{robot.mjcf} has no root body {robot.trunk!r} (trunk); {nearest(robot.trunk, bodies)}")
+    world = spec.worldbody
+    others = [body for body in world.bodies if body.name != robot.trunk]
+    surroundings = [*world.geoms, *world.cameras, *world.sites, *spec.lights]
+    for element in [*spec.sensors, *spec.actuators, *spec.keys, *spec.pairs, *surroundings, *others]:
+        spec.delete(element)
+    for texture in spec.textures:
+        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
+            spec.delete(texture)
+    if spec.compiler.settotalmass > 0:
+        raise robot.error(
+            f"settotalmass in {robot.mjcf} would rescale its transporter too; give the links their masses"
+        )
+    fresh = mujoco.MjSpec()
+    _reset(spec.option, fresh.option)
+    for kind in ("joint", "geom", "site", "camera", "light", "material", "actuator"):
+        # what the file's elements had from its global defaults they keep; what the scene adds starts from MuJoCo's own
+        _reset(getattr(spec.default, kind), getattr(fresh.default, kind))
+    for geom in spec.geoms:
+        if geom.contype or geom.conaffinity:
+            geom.contype, geom.conaffinity, geom.priority = 1, 0, 0
+
+
+def _reset(settings: Any, fresh: Any) -> None:
+    for name in dir(settings):
+        if not name.startswith("_") and name not in _IDENTITY and not callable(getattr(settings, name)):
+            setattr(settings, name, getattr(fresh, name))
+
+
+def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> list[str]:
+    return [mujoco.mj_id2name(model, kind, i) or "" for i in range(count)]
+
+
+def _check_joints(model: mujoco.MjModel, robot: RobotSpec) -> None:
+    names = _names(model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt)
+    trunk = model.body(robot.trunk)
+    if trunk.jntnum[0] != 1 or model.jnt_type[trunk.jntadr[0]] != mujoco.mjtJoint.mjJNT_FREE:
+        raise robot.error(f"its root body {robot.trunk!r} has no free joint; write <freejoint/> into it")
+    for joint, angle in zip(robot.joints, robot.q0):
+        if joint not in names:
+            raise robot.error(f"{robot.mjcf} has no joint {joint!r}; {nearest(joint, names)}")
+        i = names.index(joint)
+        if model.jnt_type[i] != mujoco.mjtJoint.mjJNT_HINGE:
+            kind = mujoco.mjtJoint(model.jnt_type[i]).name.removeprefix("mjJNT_").lower()
+            raise robot.error(
+                f"joint {joint!r} is a {kind} joint, not a hinge; name the {JOINTS_PER_LEG} hinges per leg"
+            )
+        low, high = model.jnt_range[i]
+        if model.jnt_limited[i] and not low - 1e-6 <= angle <= high + 1e-6:
+            raise robot.error(
+                f"q0 of joint {joint!r} is {angle:g}, outside of its range [{low:.4g}, {high:.4g}] rad: degrees, "
+                "another joint's angle, or a wrong sign?"
+            )
+    free = [name for i, name in enumerate(names) if name not in robot.joints and i != trunk.jntadr[0]]
+    if free:
+        raise robot.error(
+            f"nothing would drive joint {', '.join(map(repr, free))}; remove it from a copy of the MJCF file, which "
+            "welds what hangs on it"
+        )
+
+
+def _check_feet(model: mujoco.MjModel, robot: RobotSpec) -> None:
+    names = _names(model, mujoco.mjtObj.mjOBJ_GEOM, model.ngeom)
+    tips = set(range(1, model.nbody)) - set(model.body_parentid.tolist())
+    candidates = [
+        name for i, name in enumerate(names) if name and model.geom_bodyid[i] in tips and model.geom_contype[i]
+    ]
+    for foot in robot.feet:
+        if foot not in names:
+            listed = ", ".join(candidates) or "none: give the foot geoms a name in the MJCF file"
+            raise robot.error(
+                f"{robot.mjcf} has no geom {foot!r} (feet); named geoms at the ends of its legs: {listed}"
+            )
+        if not model.geom(foot).contype[0]:
+            raise robot.error(
+                f"foot geom {foot!r} collides with nothing (contype and conaffinity are 0); choose the collision geom"
+            )
+
+
+def _check_legs(model: mujoco.MjModel, robot: RobotSpec) -> None:
+    """Each foot must hang on its leg's three joints, in their order from the trunk."""
+    for i, (leg, foot) in enumerate(zip(LEGS, robot.feet)):
+        chain: list[str] = []
+        body = int(model.geom(foot).bodyid[0])
+        while body > 0:
+            first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+            hinges = [j for j in range(first, first + count) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
+            chain = [model.joint(j).name for j in hinges] + chain
+            body = int(model.body_parentid[body])
+        listed = list(robot.joints[i * JOINTS_PER_LEG : (i + 1) * JOINTS_PER_LEG])
+        if chain != listed:
+            raise robot.error(
+                f"leg {leg}: foot {foot!r} hangs on {', '.join(chain) or 'no joint'}, but joints lists "
+                f"{', '.join(listed)}; list joints, feet and q0 leg by leg, {', '.join(LEGS)}, from trunk to foot"
+            )
+
+
+def _add_actuators(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: RobotSpec) -> None:
+    for i, joint in enumerate(robot.joints):
+        limit = robot.torque_limits[i % JOINTS_PER_LEG]
+        actuator = spec.add_actuator(name=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint)
+        actuator.set_to_position(kp=robot.kp, kv=robot.kd)
+        actuator.forcelimited, actuator.forcerange = True, [-limit, limit]
+        # a joint without limits may be commanded a full turn either way; the compiled range is in radians
+        limits = model.joint(joint).range if model.jnt_limited[model.joint(joint).id] else [-2 * math.pi, 2 * math.pi]
+        actuator.ctrllimited, actuator.ctrlrange = True, limits

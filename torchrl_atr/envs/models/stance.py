@@ -1,0 +1,142 @@
+"""How a robot stands on a deck in q0: the pose of keyframe ``stand``, and what can be wrong with it."""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_atr.envs.models.robot import LEGS, RobotSpec
+from torchrl_atr.envs.models.transporter import TransporterSpec
+
+_MAX_PITCH = 0.3
+_MAX_UNEVENNESS = 0.01
+"""m: initial heights spread over 2 cm anyway."""
+_SIDES = {(1, -1): "front right", (-1, -1): "rear right", (1, 1): "front left", (-1, 1): "rear left"}
+"""Signs of x and y, in the order of :data:`LEGS`."""
+
+
+def standing_qpos(
+    model: mujoco.MjModel, robot: RobotSpec, transporter: TransporterSpec, deck_top: float
+) -> NDArray[np.float64]:
+    """q0 with the feet level on the deck and the robot's centre of mass over the pivot.
+
+    Args:
+        model: a scene with the robot in it.
+        robot: the rider.
+        transporter: whose deck it must fit.
+        deck_top: height of the deck's top above the floor, m.
+
+    Returns:
+        (nq,)
+
+    Raises:
+        RobotError: if it stands upside down, on uneven feet, on feet in another order, beside the deck, or at another
+            height than it says.
+    """
+    data = mujoco.MjData(model)
+    root = int(model.joint(int(model.body(robot.trunk).jntadr[0])).qposadr[0])
+    data.qpos[[int(model.joint(name).qposadr[0]) for name in robot.joints]] = robot.q0
+    data.qpos[root : root + 7] = [0, 0, 0, 1, 0, 0, 0]
+    mujoco.mj_kinematics(model, data)
+    feet = np.stack([data.geom(foot).xpos for foot in robot.feet])
+    _check_upright(feet, robot)
+    slope, _ = np.polyfit(feet[:, 0], feet[:, 2], 1)
+    pitch = math.atan(slope)  # turning by +pitch about y lowers the front by as much
+    data.qpos[root + 3 : root + 7] = [math.cos(pitch / 2), 0, math.sin(pitch / 2), 0]
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    soles = np.array([lowest_point(model, data, foot) for foot in robot.feet])
+    _check_level(soles, pitch, robot)
+    _check_height(-soles.min(), robot)
+    com = data.subtree_com[model.body(robot.trunk).id]
+    _check_on_deck(np.stack([data.geom(foot).xpos[:2] for foot in robot.feet]) - com[:2], robot, transporter)
+    data.qpos[root : root + 3] = [-com[0], -com[1], deck_top - soles.min()]
+    return data.qpos.copy()
+
+
+def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> float:
+    """Height of a geom's lowest point where it is now, m; exact for every convex type.
+
+    Args:
+        model: the scene.
+        data: with current kinematics.
+        name: of the geom.
+    """
+    geom = model.geom(name)
+    down, size = data.geom(name).xmat[6:9], geom.size  # the vertical in the geom's frame
+    kinds = mujoco.mjtGeom
+    match kinds(geom.type[0]):
+        case kinds.mjGEOM_CAPSULE:
+            reach = size[0] + size[1] * abs(down[2])
+        case kinds.mjGEOM_CYLINDER:
+            reach = size[0] * math.hypot(down[0], down[1]) + size[1] * abs(down[2])
+        case kinds.mjGEOM_BOX:
+            reach = float(np.abs(down) @ size)
+        case kinds.mjGEOM_ELLIPSOID:
+            reach = float(np.linalg.norm(down * size))
+        case kinds.mjGEOM_MESH:
+            mesh = model.mesh(int(geom.dataid[0]))
+            vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
+            reach = -float((vertices @ down).min())
+        case _:
+            reach = size[0]
+    return float(data.geom(name).xpos[2] - reach)
+
+
+def _check_upright(feet: NDArray[np.float64], robot: RobotSpec) -> None:
+    """With the trunk's frame at the origin, upright: feet below it, and each where its name says."""
+    for foot, height in zip(robot.feet, feet[:, 2]):
+        if height >= 0:
+            raise robot.error(
+                f"in q0 foot {foot!r} is {height:.2f} m above the origin of {robot.trunk!r}: upside down? Check the "
+                "signs of q0; the trunk's z axis points up"
+            )
+    sides = list(_SIDES)
+    for leg, foot, position in zip(LEGS, robot.feet, np.sign(feet[:, :2] - feet[:, :2].mean(axis=0))):
+        here = (int(position[0]), int(position[1]))
+        if here != sides[LEGS.index(leg)]:
+            raise robot.error(
+                f"in q0 foot {foot!r} is {_SIDES.get(here, 'under the trunk')}, but it is listed as {leg}: list "
+                f"joints, feet and q0 in the order {', '.join(LEGS)} (x points forward, y left)"
+            )
+
+
+def _check_level(soles: NDArray[np.float64], pitch: float, robot: RobotSpec) -> None:
+    if abs(pitch) > _MAX_PITCH:
+        raise robot.error(
+            f"in q0 front and rear feet are level only if the trunk pitches by {pitch:.2f} rad; check thighs and "
+            "calves of q0"
+        )
+    uneven = soles - soles.min()
+    if uneven.max() > _MAX_UNEVENNESS:
+        foot = robot.feet[int(uneven.argmax())]
+        raise robot.error(
+            f"in q0 the feet are not level: {foot!r} hangs {uneven.max():.3f} m above the lowest; check its signs: "
+            "left and right legs may mirror each other"
+        )
+
+
+def _check_height(height: float, robot: RobotSpec) -> None:
+    if robot.min_height >= height:
+        raise robot.error(
+            f"in q0 {robot.trunk!r} stands {height:.3f} m above the deck, below min_height={robot.min_height:g}: every "
+            "episode would end at once; give a lower min_height, in m"
+        )
+    if not 0.5 * height < robot.standing_height < 1.5 * height:
+        raise robot.error(
+            f"standing_height={robot.standing_height:g}, but in q0 {robot.trunk!r} stands {height:.3f} m above the "
+            "deck; give about that, in m"
+        )
+
+
+def _check_on_deck(feet: NDArray[np.float64], robot: RobotSpec, transporter: TransporterSpec) -> None:
+    length, width, _ = transporter.size
+    for foot, (x, y) in zip(robot.feet, feet):
+        if abs(x) > length / 2 or abs(y) > width / 2:
+            raise robot.error(
+                f"in q0 foot {foot!r} is off the deck of {transporter.name!r} ({length:g} x {width:g} m), {x:.2f} m "
+                f"ahead and {y:.2f} m left of its pivot; choose a narrower q0, a larger transporter or group"
+            )
