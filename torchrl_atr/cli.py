@@ -11,6 +11,7 @@ from typing import Any
 
 from torchrl_atr import __version__
 from torchrl_atr._errors import UserError
+from torchrl_atr.listings import LISTINGS
 
 _DEFAULT_RUN = Path("runs/latest")
 _HEADLINES = (
@@ -49,7 +50,7 @@ def build_parser() -> argparse.ArgumentParser:
     model.add_argument("transporter")
     model.add_argument("--output", type=Path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer")
     listing = commands.add_parser("list", help="list what is registered")
-    listing.add_argument("what", choices=sorted(_LISTINGS))
+    listing.add_argument("what", choices=sorted(LISTINGS))
     return parser
 
 
@@ -182,66 +183,19 @@ def play(arguments: argparse.Namespace) -> None:
 
 def write_model(arguments: argparse.Namespace) -> None:
     """``torchrl-atr model``."""
-    from torchrl_atr.envs import TRANSPORTERS, Readings, get_robot
+    from torchrl_atr.envs import Readings, get_robot, get_transporter
     from torchrl_atr.envs.models import scene_spec
 
-    spec = scene_spec(get_robot(arguments.robot), TRANSPORTERS.get(arguments.transporter), Readings())
+    robot = get_robot(arguments.robot)
+    spec = scene_spec(robot, get_transporter(arguments.transporter, robot), Readings())
     arguments.output.write_text(spec.to_xml())
     sys.stdout.write(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter\n")
 
 
 def _list(arguments: argparse.Namespace) -> None:
-    for name in _LISTINGS[arguments.what]():
-        sys.stdout.write(f"{name}\n")
+    sys.stdout.writelines(f"{line}\n" for line in LISTINGS[arguments.what]())
 
 
-def _robots() -> Sequence[str]:
-    import mujoco
-
-    from torchrl_atr.envs import ROBOTS
-    from torchrl_atr.envs.models import LEGS, load_robot
-
-    heads = f"{'name':12} {'group':5} {'mass kg':>8} {'h_des m':>8} {'kp':>6} {'kd':>6}"
-    lines = [f"{heads}  joints of {LEGS[0]}; feet {', '.join(LEGS)}"]
-    for name in ROBOTS.names():
-        robot = ROBOTS.get(name)
-        mass = mujoco.mj_getTotalmass(load_robot(robot)[1])
-        figures = f"{mass:8.2f} {robot.standing_height:8.2f} {robot.kp:6.1f} {robot.kd:6.2f}"
-        lines.append(f"{name:12} {robot.group:5} {figures}  {' '.join(robot.joints[:3])}; {' '.join(robot.feet)}")
-    return lines
-
-
-def _transporters() -> Sequence[str]:
-    from torchrl_atr.envs import TRANSPORTERS
-
-    return TRANSPORTERS.names()
-
-
-def _profiles() -> Sequence[str]:
-    from torchrl_atr.envs import PROFILES
-
-    return PROFILES.names()
-
-
-def _estimators() -> Sequence[str]:
-    from torchrl_atr.modules import available_estimators
-
-    return available_estimators()
-
-
-def _rewards() -> Sequence[str]:
-    from torchrl_atr.envs.task.rewards import REWARD_TERMS
-
-    return list(REWARD_TERMS)
-
-
-_LISTINGS = {
-    "robots": _robots,
-    "transporters": _transporters,
-    "profiles": _profiles,
-    "estimators": _estimators,
-    "rewards": _rewards,
-}
 _COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play, "model": write_model, "list": _list}
 
 

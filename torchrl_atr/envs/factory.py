@@ -7,7 +7,7 @@ from typing import Any
 
 from torchrl.envs import TransformedEnv
 
-from torchrl_atr.envs.models import RobotSpec
+from torchrl_atr.envs.models import RobotSpec, TransporterSpec
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.riding import PhysicsEngine, RidingEnv
 from torchrl_atr.envs.task.randomization import Randomization
@@ -18,7 +18,7 @@ from torchrl_atr.envs.transforms import CommandGrid, riding_transforms
 
 def make_riding_env(
     robot: str | Path | RobotSpec = "a1",
-    transporter: str = "single_board",
+    transporter: str | TransporterSpec = "single_board",
     num_envs: int = 256,
     *,
     physics: PhysicsEngine = "batch",
@@ -39,7 +39,7 @@ def make_riding_env(
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
-        transporter: name of a registered transporter.
+        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, or a spec.
         num_envs: N.
         physics: ``"batch"`` or ``"dm_control"``.
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from torchrl_atr.envs.models import TRANSPORTERS, RobotSpec, Scene, build_scene, get_robot
+from torchrl_atr.envs.models import RobotSpec, Scene, TransporterSpec, build_scene, get_robot, get_transporter
 from torchrl_atr.envs.physics.engine import DECIMATION, Engine
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.task import randomization as intrinsics
@@ -31,7 +31,7 @@ class RidingEnv(EnvBase):
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
-        transporter: name of a registered transporter.
+        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, or a spec.
         num_envs: N.
         physics: ``"batch"`` (N robots, all CPUs) or ``"dm_control"`` (one robot, the reference).
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
@@ -64,7 +64,7 @@ class RidingEnv(EnvBase):
     def __init__(
         self,
         robot: str | Path | RobotSpec = "a1",
-        transporter: str = "single_board",
+        transporter: str | TransporterSpec = "single_board",
         num_envs: int = 256,
         physics: PhysicsEngine = "batch",
         randomization: intrinsics.Randomization = "train",
@@ -78,7 +78,8 @@ class RidingEnv(EnvBase):
             raise ValueError(f"num_envs={num_envs!r}: choose a whole number of robots, 1 or more")
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
         readings = get_readings(profile)
-        scene = build_scene(get_robot(robot), TRANSPORTERS.get(transporter), readings)
+        rider = get_robot(robot)
+        scene = build_scene(rider, get_transporter(transporter, rider), readings)
         self.rng = torch.Generator()
         if seed is None:
             self.rng.seed()  # from the operating system: forked workers must not share intrinsics

@@ -11,7 +11,7 @@ from dm_control.rl import control
 from dm_env import specs
 from numpy.typing import ArrayLike, NDArray
 
-from torchrl_atr.envs.models import TRANSPORTERS, RobotSpec, build_scene, get_robot
+from torchrl_atr.envs.models import RobotSpec, TransporterSpec, build_scene, get_robot, get_transporter
 from torchrl_atr.envs.physics.dmc import DmControlEngine, RidingPhysics
 from torchrl_atr.envs.physics.engine import DECIMATION
 from torchrl_atr.envs.profiles import Readings, get_readings
@@ -21,7 +21,7 @@ from torchrl_atr.envs.task.randomization import Randomization
 
 def load(
     robot: str | Path | RobotSpec = "a1",
-    transporter: str = "single_board",
+    transporter: str | TransporterSpec = "single_board",
     *,
     profile: str | Readings = "default",
     randomization: Randomization = "train",
@@ -33,7 +33,7 @@ def load(
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
-        transporter: name of a registered transporter.
+        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, or a spec.
         profile: name of a profile, or readings of your own.
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
         time_limit: s, after which the episode ends with discount 1.
@@ -55,7 +55,8 @@ def load(
         [0.5, 0.0]
     """
     readings = get_readings(profile)
-    scene = build_scene(get_robot(robot), TRANSPORTERS.get(transporter), readings)
+    rider = get_robot(robot)
+    scene = build_scene(rider, get_transporter(transporter, rider), readings)
     engine = DmControlEngine(scene, readings)
     core = RidingTask(engine, readings, randomization, pushes, torch.Generator())
     task = SuiteTask(core, random)

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 from torchrl.envs.transforms import Transform
 
-from torchrl_atr.envs.task.observations import EXTRINSIC
+from torchrl_atr.envs.task.observations import EXTRINSIC, extrinsic_components
 from torchrl_atr.envs.task.state import StateReader
 
 
@@ -62,7 +62,8 @@ def extrinsic_names(env: EnvBase, size: int) -> tuple[str, ...]:
     engine = getattr(base_env(env), "engine", None)
     if engine is not None:
         state = StateReader(engine).read(slice(0, 1))
-        widths = {name: component(state).shape[-1] for name, component in EXTRINSIC.items()}
+        components = extrinsic_components(engine.law.readings)
+        widths = {name: EXTRINSIC[name](state).shape[-1] for name in components}
         names = tuple(f"{name}[{i}]" for name, width in widths.items() for i in range(width))
         if len(names) == size:
             return names

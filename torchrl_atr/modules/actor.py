@@ -77,6 +77,12 @@ class ActorBackbone(nn.Module):
         init_std, min_std (float): see :class:`StateIndependentStd`.
         noise_basis (Tensor, optional): orthonormal columns, (A, A), along which the actions are explored
             independently, such as :func:`~torchrl_atr.modules.leg_synergies`; None for the actions themselves.
+        products (sequence of pairs of int): for every ``(i, j)`` the network also reads ``tanh(x_i) * x_j`` of the
+            normalised observation x. A board turns by the product of two tilts, so the lean that answers a yaw command
+            changes sign with the speed command: an exclusive-or, of which a gradient at first sees nothing.
+
+    Raises:
+        ValueError: for a product of entries that the observation does not have.
 
     Examples:
         >>> import torch
@@ -96,8 +102,13 @@ class ActorBackbone(nn.Module):
         init_std: float | Sequence[float] = 0.3,
         min_std: float = 0.05,
         noise_basis: Tensor | None = None,
+        products: Sequence[tuple[int, int]] = (),
     ) -> None:
         super().__init__()
+        size = observation_norm.shape.numel()
+        if any(not 0 <= index < size for pair in products for index in pair):
+            raise ValueError(f"products={list(products)} names entries beyond the observation's {size}.")
+        self._gates, self._gated = [i for i, _ in products], [j for _, j in products]
         basis = torch.eye(action_features) if noise_basis is None else noise_basis
         self.register_buffer("noise_basis", check_basis(basis, action_features))
         # Adam's steps are alike in all outputs. In units of the exploration's variance, a column's share of the
@@ -106,7 +117,7 @@ class ActorBackbone(nn.Module):
         self.register_buffer("head", (std.square() / std.max()).unsqueeze(-1) * basis.T)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
-        in_features = observation_norm.shape.numel() + latent_features + extrinsic_norm.shape.numel()
+        in_features = size + len(products) + latent_features + extrinsic_norm.shape.numel()
         self.net = MLP(in_features, action_features, num_cells=list(cells), activation_class=nn.ELU)
         self.std = StateIndependentStd(action_features, init_std, min_std)
 
@@ -115,7 +126,9 @@ class ActorBackbone(nn.Module):
 
         ``scale`` is along the columns of the noise basis.
         """
-        inputs = (self.observation_norm(observation), intrinsic, self.extrinsic_norm(extrinsic))
+        x = self.observation_norm(observation)
+        products = x[..., self._gates].tanh() * x[..., self._gated]
+        inputs = (x, products, intrinsic, self.extrinsic_norm(extrinsic))
         loc = self.net(torch.cat(inputs, -1)) @ self.head
         return loc, self.std().expand_as(loc)
 

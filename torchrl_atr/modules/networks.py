@@ -214,6 +214,7 @@ def make_networks(
     init_std: float | Sequence[float] = 0.3,
     min_std: float = 0.05,
     noise_basis: Tensor | None = None,
+    products: Sequence[tuple[int, int]] = (),
     keys: NetworkKeys | None = None,
 ) -> RidingNetworks:
     """Build the networks of Table I for an env; every size is read from its specs.
@@ -231,6 +232,7 @@ def make_networks(
             noise basis if it is a sequence.
         min_std (float): its floor.
         noise_basis (Tensor, optional): see :class:`~torchrl_atr.modules.ActorBackbone`.
+        products (sequence of pairs of int): see :class:`~torchrl_atr.modules.ActorBackbone`.
         keys (NetworkKeys, optional): names of the entries, if the env has its own.
 
     Returns:
@@ -280,7 +282,7 @@ def make_networks(
             odometry_norm,
         ),
         backbone=ActorBackbone(
-            obs_norm, ext_norm, latent_features, actions, actor_cells, init_std, min_std, noise_basis
+            obs_norm, ext_norm, latent_features, actions, actor_cells, init_std, min_std, noise_basis, products
         ),
         critic=AsymmetricCritic(obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm),
         keys=keys,

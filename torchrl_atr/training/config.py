@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import torch
 
 from torchrl_atr._errors import UserError
-from torchrl_atr.envs.models import TRANSPORTERS, get_robot
+from torchrl_atr.envs.models import get_robot, get_transporter
 from torchrl_atr.envs.models.robot_file import is_robot_file
 from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.modules import SOURCES, Source
@@ -32,7 +31,8 @@ class TrainConfig:
 
     Attributes:
         robot: name from the registry, or path of a ``.toml`` file that describes one (kept as an absolute path).
-        transporter, profile: names from the registries.
+        transporter: ``single_board`` or ``two_board`` in the robot's size, or another registered name.
+        profile: name from the registry.
         estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
         imports: modules imported first, so that they can register estimators of their own.
         num_envs: robots simulated at once.
@@ -57,15 +57,19 @@ class TrainConfig:
             ``anneal_from`` of it.
         anneal_from: share of the run, in [0, 1).
         roa_coeff: λ of Eq. 15.
+        roa_ramp: whether λ grows linearly from 0 over the run (A23).
         adaptation_epochs: passes of the estimators over a batch.
         act_source: what the actor acts on in training: ``privileged``, ``estimated`` or ``mixed`` (A24).
         dead_reckoning: whether the extrinsic estimator reads the odometry beside the history.
+        normalize_targets: whether the extrinsic estimator's errors are measured in standard deviations (A25).
+        steering_cue: whether the actor also reads tanh(c_v) c_ω, which has the sign of the lean that turns.
         student_fraction: share of the robots that act on the estimates under ``mixed``.
         history_length: H.
         critic_cells: hidden widths of the critic; the actor's are Table I's.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
+        count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).
         initial_speed, initial_yaw_rate: half widths of the first command box, m/s and rad/s.
         runaway_speed, runaway_yaw_rate: how much faster than any command a transporter may get before its episode ends.
@@ -87,12 +91,12 @@ class TrainConfig:
     collector: str = "direct"
     workers: int = 2
     gamma: float = 0.995
-    gae_lambda: float = 0.95
+    gae_lambda: float = 0.8
     epochs: int = 2
     minibatches: int = 4
     learning_rate: float = 3e-4
     max_learning_rate: float = 2e-3
-    target_kl: float = 0.02
+    target_kl: float = 0.04
     critic_learning_rate: float = 1e-3
     estimator_learning_rate: float = 1e-3
     clip_epsilon: float = 0.2
@@ -101,13 +105,16 @@ class TrainConfig:
     init_std: float = 0.3
     relative_std: float = 0.1
     min_std: float = 0.03
-    noise_correlation: float = 0.95
+    noise_correlation: float = 0.9
     final_std: float = 0.1
-    anneal_from: float = 0.6
+    anneal_from: float = 0.35
     roa_coeff: float = 0.2
+    roa_ramp: bool = False
     adaptation_epochs: int = 1
     act_source: Source = "mixed"
     dead_reckoning: bool = True
+    steering_cue: bool = True
+    normalize_targets: bool = True
     student_fraction: float = 0.5
     history_length: int = 10
     critic_cells: tuple[int, ...] = (256, 128, 64)
@@ -116,8 +123,9 @@ class TrainConfig:
     command_seconds: float = 5.0
     tracking_threshold: float = 0.6
     score_from_seconds: float = 1.0
+    count_own_twice: bool = False
     initial_speed: float = 1.0
-    initial_yaw_rate: float = 1.0
+    initial_yaw_rate: float = 0.3
     runaway_speed: float = 2.0
     runaway_yaw_rate: float = 2.0
     checkpoint_seconds: float = 60.0
@@ -127,10 +135,9 @@ class TrainConfig:
             value = getattr(self, name)
             if not isinstance(value, int | float) or not low <= value <= high or math.isnan(value):
                 raise ConfigError(f"{name}={value!r} is out of range; choose a number in [{low:g}, {high:g}]")
-        get_robot(self.robot)
+        get_transporter(self.transporter, get_robot(self.robot))
         if is_robot_file(self.robot):  # the run must find it from wherever it is evaluated
             object.__setattr__(self, "robot", str(Path(self.robot).resolve()))
-        TRANSPORTERS.get(self.transporter)
         PROFILES.get(self.profile)
         if self.act_source not in SOURCES:
             raise ConfigError(f"act_source={self.act_source!r} is unknown; choose one of {', '.join(SOURCES)}")
@@ -216,87 +223,3 @@ _RANGES: dict[str, tuple[float, float]] = {
     "runaway_yaw_rate": (_POSITIVE, 1e6),
     "checkpoint_seconds": (0, 1e6),
 }
-
-
-PROFILE_RECIPES: dict[str, dict[str, Any]] = {
-    "literal": {"act_source": "privileged", "dead_reckoning": False},
-    "ancestor": {
-        "act_source": "privileged",
-        "dead_reckoning": False,
-        "init_std": 1.0,
-        "relative_std": 1.0,
-        "noise_correlation": 0.0,
-        "anneal_from": 0.99,
-    },
-}
-"""What a profile changes in the recipe (A24 and the ancestors' exploration), unless the user sets it."""
-
-
-def make_config(values: dict[str, Any] | None = None, overrides: list[str] | None = None) -> TrainConfig:
-    """A configuration from a mapping and ``key=value`` strings, the latter winning.
-
-    Args:
-        values: field values.
-        overrides: strings such as ``"gamma=0.99"``.
-
-    Raises:
-        ConfigError: for an unknown field or a value of the wrong kind or out of range.
-
-    Example:
-        >>> make_config({"num_envs": 8}, ["gamma=0.9"]).gamma
-        0.9
-    """
-    merged = dict(values or {})
-    recipe = PROFILE_RECIPES.get(str(merged.get("profile", "default")), {})
-    merged = {**recipe, **merged}
-    for text in overrides or []:
-        key, separator, value = text.partition("=")
-        if not separator:
-            raise ConfigError(f"--set {text!r}: write it as key=value")
-        merged[key.strip()] = value.strip()
-    fields = {field.name: field for field in dataclasses.fields(TrainConfig)}
-    for name in merged:
-        if name not in fields:
-            raise ConfigError(f"unknown setting {name!r}; known: {', '.join(fields)}")
-    return TrainConfig(**{name: _convert(name, value, fields[name].default) for name, value in merged.items()})
-
-
-def read_config(path: Path) -> dict[str, Any]:
-    """Field values from a ``.toml`` or ``.json`` file.
-
-    Raises:
-        ConfigError: if it is missing, of another kind, or malformed.
-    """
-    if not path.is_file():
-        raise ConfigError(f"there is no configuration file {path}")
-    try:
-        if path.suffix == ".toml":
-            return tomllib.loads(path.read_text())
-        if path.suffix == ".json":
-            return json.loads(path.read_text())
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not valid {path.suffix[1:].upper()}: {error}") from error
-    raise ConfigError(f"{path}: use a .toml or .json file")
-
-
-def _convert(name: str, value: Any, default: Any) -> Any:
-    """``value`` as the type of the field's default."""
-    kind = type(default)
-    try:
-        if kind is tuple:
-            parts = [part for part in value.split(",") if part] if isinstance(value, str) else value
-            return tuple(type(default[0])(part) if default else str(part) for part in parts)
-        if kind is bool:
-            return {"true": True, "false": False}[str(value).lower()]
-        if kind is int:
-            number = float(value)
-            if number != int(number):
-                raise ValueError
-            return int(number)
-        if kind is float:
-            return float(value)
-        if not isinstance(value, str):
-            raise TypeError
-        return value
-    except (KeyError, TypeError, ValueError, OverflowError):
-        raise ConfigError(f"{name}={value!r} is not a valid {kind.__name__}") from None

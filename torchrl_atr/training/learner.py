@@ -13,7 +13,7 @@ from torchrl.objectives.utils import KLAdaptiveLR
 from torchrl.objectives.value import GAE
 
 from torchrl_atr.modules import RidingNetworks
-from torchrl_atr.objectives import ROAClipPPOLoss
+from torchrl_atr.objectives import LinearSchedule, ROAClipPPOLoss
 from torchrl_atr.training.config import TrainConfig
 
 
@@ -37,7 +37,7 @@ class Learner:
             networks.intrinsic_estimator_module,
             networks.extrinsic_estimator_module,
             roa_coeff=config.roa_coeff,
-            extrinsic_scale=networks.ext_norm,
+            extrinsic_scale=networks.ext_norm if config.normalize_targets else None,
             clip_epsilon=config.clip_epsilon,
             entropy_coeff=config.entropy_coeff,
             entropy_bonus=True,
@@ -65,12 +65,26 @@ class Learner:
         }
         self.optimizers = {name: torch.optim.Adam(group, lr=rates[name]) for name, group in self._groups.items()}
         self.schedule = KLAdaptiveLR(self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate)
+        self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa_coeff) if config.roa_ramp else None
         size = config.frames_per_batch
         self.buffer = TensorDictReplayBuffer(
             storage=LazyTensorStorage(size, device=config.device),
             sampler=SamplerWithoutReplacement(),
             batch_size=-(-size // config.minibatches),
         )
+
+    def anneal(self, progress: float) -> None:
+        """Lowers the ceiling of the exploration (late in a run, noise hides which way the board is tilted), ramps λ.
+
+        Args:
+            progress: share of the run that is over, in [0, 1].
+        """
+        config = self.config
+        late = max(0.0, progress - config.anneal_from) / (1 - config.anneal_from)
+        ceiling = config.init_std + min(late, 1.0) * (config.final_std - config.init_std)
+        self.networks.backbone.std.cap_(ceiling)
+        if self._roa_ramp is not None:
+            self._roa_ramp.step(progress)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """One iteration on a batch of shape (N, T).

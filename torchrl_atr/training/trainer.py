@@ -24,7 +24,8 @@ from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, get_estimator, leg_synergies, make_networks
 from torchrl_atr.training.checkpoint import NAME, CheckpointError, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import Collection
-from torchrl_atr.training.config import ConfigError, TrainConfig, make_config
+from torchrl_atr.training.config import ConfigError, TrainConfig
+from torchrl_atr.training.config_io import make_config
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.progress import Progress
@@ -55,7 +56,9 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "thresholds": (config.tracking_threshold,) * 2,
         "score_from": round(config.score_from_seconds / CONTROL_DT),
         "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
-        "grid": CommandGrid(initial=(config.initial_speed, config.initial_yaw_rate)),
+        "grid": CommandGrid(
+            initial=(config.initial_speed, config.initial_yaw_rate), count_own_twice=config.count_own_twice
+        ),
     }
     return make_riding_env(**{**arguments, **overrides})
 
@@ -83,6 +86,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
     """
     basis = leg_synergies()
     alike, joints = len(basis) // 4, len(basis)
+    speed, yaw_rate = (env.observation_spec["observation"].shape[-1] - 2 + i for i in range(2))  # the command ends o_t
     return make_networks(
         env.observation_spec,
         env.action_spec,
@@ -91,6 +95,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         init_std=[config.init_std] * alike + [config.relative_std] * (joints - alike),
         min_std=config.min_std,
         noise_basis=basis,
+        products=[(speed, yaw_rate)] if config.steering_cue else [],
         keys=NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None),
     )
 
@@ -164,7 +169,7 @@ class Trainer:
             with self.progress:
                 batches = iter(self.collection)
                 while not self.finished:
-                    self._anneal()
+                    self.learner.anneal(self.progress_made)
                     metrics = self._iterate(next(batches), started)
                     self.progress.update(metrics)
                     if on_iteration is not None:
@@ -188,13 +193,6 @@ class Trainer:
     def finished(self) -> bool:
         """Whether frames or minutes have run out."""
         return self.progress_made >= 1
-
-    def _anneal(self) -> None:
-        """Lowers the ceiling of the exploration: late in a run, noise hides which way the board is tilted."""
-        config = self.config
-        late = max(0.0, self.progress_made - config.anneal_from) / (1 - config.anneal_from)
-        ceiling = config.init_std + late * (config.final_std - config.init_std)
-        self.learner.networks.backbone.std.cap_(ceiling)
 
     def _iterate(self, batch: TensorDictBase, started: float) -> dict[str, float]:
         collected = time.monotonic()

@@ -1,32 +1,27 @@
-"""Robots, transporters and the compiled scene against the numbers of their makers and of Table IV."""
+"""Transporters and the compiled scene against Table IV and the paper's equations."""
 
 from __future__ import annotations
+
+import dataclasses
 
 import mujoco
 import numpy as np
 import pytest
 
-from torchrl_atr.envs.models import LEGS, ROBOTS, TRANSPORTERS, build_scene, scene_spec
+from torchrl_atr.envs.models import (
+    LEGS,
+    ROBOTS,
+    TRANSPORTERS,
+    TransporterError,
+    build_scene,
+    get_transporter,
+    scene_spec,
+)
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.riding import RidingEnv
 
-A1, BOARD = ROBOTS.get("a1"), TRANSPORTERS.get("single_board")
+A1, BOARD, A1_BOARDS = ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"), TRANSPORTERS.get("two_board_g1")
 DECK_TOP = 0.15 + 0.05 / 2
-# the public A1: body, mass (the trunk's scaled to Table IV), position in the parent, centre of mass
-LINKS = {
-    "trunk": (4.0, None, (0.0, 0.0041, -0.0005)),
-    "FR_hip": (0.696, (0.183, -0.047, 0.0), (-0.003311, -0.000635, 3.1e-05)),
-    "RR_hip": (0.696, (-0.183, -0.047, 0.0), (0.003311, -0.000635, 3.1e-05)),
-    "FL_hip": (0.696, (0.183, 0.047, 0.0), (-0.003311, 0.000635, 3.1e-05)),
-    "RL_hip": (0.696, (-0.183, 0.047, 0.0), (0.003311, 0.000635, 3.1e-05)),
-    **{f"{leg}_thigh": (1.013, (0.0, -0.08505, 0.0), (-0.003237, 0.022327, -0.027326)) for leg in ("FR", "RR")},
-    **{f"{leg}_thigh": (1.013, (0.0, 0.08505, 0.0), (-0.003237, -0.022327, -0.027326)) for leg in ("FL", "RL")},
-    **{f"{leg}_calf": (0.226, (0.0, 0.0, -0.2), (0.0047266, 0.0, -0.131975)) for leg in LEGS},
-}
-# in q0 with the feet level, from the base origin in world axes
-FEET = {"FR": (0.1741, -0.1608), "RR": (-0.2497, -0.1599), "FL": (0.1741, 0.1608), "RL": (-0.2497, 0.1599)}
-BASE_HEIGHT, BASE_PITCH, FOOT_RADIUS = 0.2988, -0.0205, 0.02
-CENTRE_OF_MASS = (-0.0136, 0.0014, -0.0201)
 
 
 @pytest.fixture(scope="module")
@@ -34,77 +29,46 @@ def scene():
     return build_scene(A1, BOARD)
 
 
-@pytest.fixture(scope="module")
-def standing(scene):
-    data = mujoco.MjData(scene.model)
-    mujoco.mj_resetDataKeyframe(scene.model, data, 0)
-    mujoco.mj_forward(scene.model, data)
-    return data
-
-
 def test_masses_are_table_iv(scene):
     model, layout = scene.model, scene.layout
     assert model.body_subtreemass[layout.trunk_body] == pytest.approx(11.74, abs=1e-9)
-    assert model.body_mass[layout.deck_body] == pytest.approx(11.5)
+    assert model.body_subtreemass[layout.platform_body] == pytest.approx(11.5)
     assert model.body_mass.sum() == pytest.approx(11.74 + 11.5)
 
 
-def test_deck_inertia_is_that_of_a_uniform_box(scene):
-    length, width, height, mass = 0.9, 0.7, 0.05, 11.5
-    expected = mass / 12 * np.array([width**2 + height**2, length**2 + height**2, length**2 + width**2])
-    assert BOARD.inertia == pytest.approx(expected)
-    np.testing.assert_allclose(scene.model.body_inertia[scene.layout.deck_body], expected)
-    np.testing.assert_allclose(expected, [0.472, 0.779, 1.246], atol=5e-4)
-
-
-@pytest.mark.parametrize("name", LINKS)
-def test_links_are_the_public_models(scene, name):
-    mass, position, centre = LINKS[name]
-    body = scene.model.body(name)
-    assert body.mass[0] == pytest.approx(mass, abs=1e-9)
-    np.testing.assert_allclose(body.ipos, centre, atol=1e-6)
-    if position is not None:
-        np.testing.assert_allclose(body.pos, position, atol=1e-6)
-
-
-def test_the_robot_is_mirror_symmetric_but_for_its_trunk(scene):
-    for right, left in (("FR", "FL"), ("RR", "RL")):
-        for part in ("hip", "thigh", "calf"):
-            a, b = scene.model.body(f"{right}_{part}"), scene.model.body(f"{left}_{part}")
-            np.testing.assert_allclose(a.ipos, b.ipos * [1, -1, 1], atol=1e-9)
-            np.testing.assert_allclose(a.inertia, b.inertia, rtol=1e-6)
-
-
-def test_stand_keyframe_is_q0_with_level_feet_on_the_deck(scene, standing):
+@pytest.mark.parametrize(("size", "mass"), [("g1", 11.5), ("g2", 30.0)])
+@pytest.mark.parametrize("kind", ["single_board", "two_board"])
+def test_deck_is_uniform_boxes_of_table_iv(kind, size, mass):
+    deck = TRANSPORTERS.get(f"{kind}_{size}")
+    robot = ROBOTS.get("a1" if size == "g1" else "spot")
+    scene = build_scene(robot, deck)
     model, layout = scene.model, scene.layout
-    assert model.key(0).name == "stand"
-    base = standing.xpos[layout.trunk_body]
-    for leg, expected in FEET.items():
-        foot = standing.geom(f"{leg}_foot").xpos
-        np.testing.assert_allclose((foot - base)[:2], expected, atol=1e-4)
-        assert foot[2] - FOOT_RADIUS == pytest.approx(DECK_TOP, abs=1e-9)
-    assert base[2] - DECK_TOP == pytest.approx(BASE_HEIGHT, abs=1e-4)
-    quaternion = standing.qpos[layout.root_qpos + 3 : layout.root_qpos + 7]
-    assert 2 * np.arctan2(quaternion[2], quaternion[0]) == pytest.approx(BASE_PITCH, abs=1e-4)
-    np.testing.assert_allclose(standing.qpos[layout.joint_qpos], A1.q0)
-    np.testing.assert_allclose(standing.ctrl[layout.actuators], A1.q0)
+    length, width, height = {"g1": (0.9, 0.7, 0.05), "g2": (1.5, 1.1, 0.05)}[size]
+    assert deck.size == (length, width, height)
+    assert model.body_subtreemass[layout.platform_body] == pytest.approx(mass)
+    boards = len(layout.deck_geoms)
+    own, wide = mass / boards, width / boards
+    each = own / 12 * np.array([wide**2 + height**2, length**2 + height**2, length**2 + wide**2])
+    for body, geom in zip(layout.deck_bodies, layout.deck_geoms):
+        np.testing.assert_allclose(model.body_inertia[body], each)
+        np.testing.assert_allclose(2 * model.geom_size[geom], [length, wide, height])
+    # I*_zz of two touching halves, by the parallel-axis theorem, is that of the undivided board
+    whole = mass / 12 * np.array([width**2 + height**2, length**2 + height**2, length**2 + width**2])
+    assert deck.inertia == pytest.approx(whole)
+    if boards == 2:
+        assert deck.inertia[2] == pytest.approx(2 * (each[2] + own * (width / 4) ** 2))
 
 
-def test_stand_keyframe_has_its_centre_of_mass_over_the_pivot(scene, standing):
-    com = standing.subtree_com[scene.layout.trunk_body]
-    np.testing.assert_allclose(com[:2], 0.0, atol=1e-9)
-    np.testing.assert_allclose(com - standing.xpos[scene.layout.trunk_body], CENTRE_OF_MASS, atol=1e-4)
-
-
-def test_joints_and_feet_are_listed_right_legs_first(scene):
-    assert LEGS == ("FR", "RR", "FL", "RL")
-    model, layout = scene.model, scene.layout
-    expected = [f"{leg}_{joint}_joint" for leg in LEGS for joint in ("hip", "thigh", "calf")]
-    joints = [model.joint(int(model.actuator_trnid[actuator, 0])) for actuator in layout.actuators]
-    assert [joint.name for joint in joints] == expected
-    np.testing.assert_array_equal([joint.qposadr[0] for joint in joints], layout.joint_qpos)
-    np.testing.assert_array_equal([joint.dofadr[0] for joint in joints], layout.joint_dof)
-    assert A1.feet == tuple(f"{leg}_foot" for leg in LEGS)
+def test_two_boards_lie_side_by_side_with_the_right_legs_on_the_right_one(stand):
+    scene = build_scene(A1, A1_BOARDS)
+    data, layout = stand(scene.model), scene.layout
+    right, left = (data.geom_xpos[geom] for geom in layout.deck_geoms)
+    np.testing.assert_allclose(right[:2], [0.0, -0.175], atol=1e-12)
+    np.testing.assert_allclose(left[:2], [0.0, 0.175], atol=1e-12)
+    half = A1_BOARDS.size[1] / 4
+    for leg, foot in zip(LEGS, A1.feet):
+        y = data.geom(foot).xpos[1]
+        assert abs(y - (right if leg in ("FR", "RR") else left)[1]) < half, leg
 
 
 def test_self_balancing_gains_follow_their_unit():
@@ -115,8 +79,44 @@ def test_self_balancing_gains_follow_their_unit():
         np.testing.assert_allclose(scene.model.dof_damping[dofs], 0.025 * unit)
 
 
-def test_only_robot_and_deck_collide(scene):
-    model, deck = scene.model, scene.layout.deck_geom
+@pytest.mark.parametrize(("profile", "scale"), [("default", 5 * 180 / np.pi), ("literal", 1.0)])
+def test_large_decks_carry_scaled_springs_unless_read_literally(profile, scale):
+    deck = TRANSPORTERS.get("two_board_g2")
+    model = build_scene(ROBOTS.get("spot"), deck, get_readings(profile)).model
+    for side in ("right", "left"):
+        joint = model.joint(f"platform_pitch_{side}")
+        assert joint.stiffness[0] == pytest.approx(1.15 * scale)
+        assert joint.damping[0] == pytest.approx(0.025 * scale)
+
+
+def test_each_gain_of_two_boards_reaches_its_own_board():
+    deck = dataclasses.replace(TRANSPORTERS.get("two_board_g1"), sb_stiffness=(1.0, 2.0), sb_damping=(0.01, 0.02))
+    model = build_scene(A1, deck, get_readings("literal")).model
+    joints = [model.joint(f"platform_pitch_{side}") for side in ("right", "left")]
+    assert [joint.stiffness[0] for joint in joints] == pytest.approx([1.0, 2.0])
+    assert [joint.damping[0] for joint in joints] == pytest.approx([0.01, 0.02])
+
+
+def test_size_of_the_deck_follows_the_robot_unless_named():
+    assert get_transporter("two_board", A1).name == "two_board_g1"
+    assert get_transporter("two_board", ROBOTS.get("spot")).name == "two_board_g2"
+    assert get_transporter("single_board_g2", A1).name == "single_board_g2"
+    with pytest.raises(ValueError, match="unknown transporter 'unicycle'; known: single_board, two_board, single_"):
+        get_transporter("unicycle", A1)
+    with pytest.raises(ValueError, match=r"'anymal_c'.*off the deck of 'single_board_g1'"):
+        build_scene(ROBOTS.get("anymal_c"), TRANSPORTERS.get("single_board_g1"))
+
+
+@pytest.mark.parametrize("field", ["mass", "tilt_norm", "max_acceleration"])
+def test_impossible_transporters_are_named(field):
+    with pytest.raises(TransporterError, match=f"'single_board_g1': {field}=0.0 must be positive"):
+        dataclasses.replace(BOARD, **{field: 0.0})
+
+
+@pytest.mark.parametrize("transporter", ["single_board_g1", "two_board_g1"])
+def test_only_robot_and_boards_collide(transporter):
+    scene = build_scene(A1, TRANSPORTERS.get(transporter))
+    model, decks = scene.model, set(scene.layout.deck_geoms.tolist())
     pairs = {
         (i, j)
         for i in range(model.ngeom)
@@ -124,7 +124,7 @@ def test_only_robot_and_deck_collide(scene):
         if (model.geom_contype[i] & model.geom_conaffinity[j]) or (model.geom_contype[j] & model.geom_conaffinity[i])
     }
     assert pairs
-    assert all(deck in pair for pair in pairs)
+    assert all(len(decks & set(pair)) == 1 for pair in pairs)
 
 
 def test_zero_action_stands():

@@ -37,8 +37,8 @@ class LeglessSpec(RobotSpec):
 
 
 @pytest.fixture
-def block_scene(tmp_path: Path) -> Scene:
-    """The block on the single board."""
+def block_scene(tmp_path: Path, request: pytest.FixtureRequest) -> Scene:
+    """The block on the single board, or on the transporter that the test is parametrized with."""
     path = tmp_path / "block.xml"
     path.write_text(_BLOCK)
     robot = LeglessSpec(
@@ -56,7 +56,7 @@ def block_scene(tmp_path: Path) -> Scene:
         min_height=0.0,
         group="G1",
     )
-    return build_scene(robot, TRANSPORTERS.get("single_board"))
+    return build_scene(robot, TRANSPORTERS.get(getattr(request, "param", "single_board_g1")))
 
 
 BlockEngine = Callable[..., BatchEngine]
@@ -76,8 +76,7 @@ def block_engine(block_scene: Scene) -> BlockEngine:
         engine = BatchEngine(block_scene, 1, Readings(), num_threads=1)
         qpos = model.key_qpos[:1].copy()
         qpos[0, layout.root_qpos : layout.root_qpos + 2] = xy
-        stiffness, damping = ((1e5, 1e5), (2e4, 2e4)) if level else (deck.sb_stiffness, deck.sb_damping)
-        unit = 1.0 if level else Readings().sb_unit
+        stiffness, damping = ((1e5, 1e5), (2e4, 2e4)) if level else deck.springs(Readings())
         parameters = PhysicalParameters(
             payload=np.zeros(1),
             com_shift=np.zeros((1, 3)),
@@ -85,8 +84,8 @@ def block_engine(block_scene: Scene) -> BlockEngine:
             kd=np.zeros((1, 0)),
             platform_mass=np.array([deck.mass]),
             friction=np.array([friction]),
-            sb_stiffness=np.array([stiffness]) * unit,
-            sb_damping=np.array([damping]) * unit,
+            sb_stiffness=np.array([stiffness]),
+            sb_damping=np.array([damping]),
         )
         engine.reset(np.arange(1), qpos, np.zeros((1, model.nv)), parameters)
         return engine

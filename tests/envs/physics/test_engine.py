@@ -68,6 +68,30 @@ def test_weight_at_a_corner_tilts_towards_it_and_turns_by_eq_3(block_engine, x, 
     assert min(abs(pitch), abs(roll), abs(yaw_rate)) > 0.05
 
 
+@pytest.mark.parametrize("block_scene", ["two_board_g1"], indirect=True)
+def test_weight_ahead_pitches_both_boards_alike(block_engine):
+    engine = block_engine((0.06, 0.0))
+    ride(engine, 50)
+    right, left = engine.qpos[0, engine.scene.layout.tilt_qpos]
+    assert right > 0.03
+    assert right == pytest.approx(left, abs=1e-9)
+    assert engine.speeds[0, 0] > 0.3
+    assert abs(engine.speeds[0, 1]) < 1e-9
+
+
+@pytest.mark.parametrize("block_scene", ["two_board_g1"], indirect=True)
+@pytest.mark.parametrize("x", [0.06, -0.06])
+@pytest.mark.parametrize("y", [0.2, -0.2])
+def test_weight_on_one_board_pitches_it_alone_and_turns_by_eq_10(block_engine, x, y):
+    engine = block_engine((x, y))
+    ride(engine, 20)
+    right, left = engine.qpos[0, engine.scene.layout.tilt_qpos]
+    loaded, empty = (left, right) if y > 0 else (right, left)
+    assert loaded * np.sign(x) > 0.05
+    assert abs(empty) < 1e-9
+    assert np.sign(engine.speeds[0]).tolist() == [np.sign(x), np.sign(y)]  # sgn(θ_avg) undoes the sign of θ_dif
+
+
 def test_static_tilt_balances_weight_and_spring(block_engine):
     engine = block_engine((0.02, 0.0))
     engine.law = Prescribed((0.0, 0.0))
@@ -82,7 +106,8 @@ def test_static_tilt_balances_weight_and_spring(block_engine):
     assert pitch.min() > 0.03
 
 
-@pytest.mark.parametrize("axis", [0, 1], ids=["pitch", "roll"])
+@pytest.mark.parametrize("block_scene", ["single_board_g1", "two_board_g1"], indirect=True)
+@pytest.mark.parametrize("axis", [0, 1])
 def test_empty_deck_rings_down_as_stiffness_damping_and_inertia_say(block_engine, axis):
     engine = block_engine()
     layout, deck = engine.scene.layout, engine.scene.transporter
@@ -96,7 +121,9 @@ def test_empty_deck_rings_down_as_stiffness_damping_and_inertia_say(block_engine
     transition = np.linalg.lstsq(np.array(states[:-1]), np.array(states[1:]), rcond=None)[0]
     root = np.log(np.linalg.eigvals(transition).astype(complex))[0] / CONTROL_DT
     unit = 180 / np.pi
-    stiffness, damping, inertia = 1.15 * unit, 0.025 * unit, deck.inertia[1 - axis]
+    stiffness, damping, inertia = 1.15 * unit, 0.025 * unit, deck.inertia[1 - axis]  # pitch, roll
+    if len(deck.design.boards) == 2:
+        inertia = deck.inertia[1] / 2  # either board's pitch
     decay = damping / (2 * inertia)
     frequency = np.sqrt(stiffness / inertia - decay**2)
     assert abs(root.imag) == pytest.approx(frequency, rel=0.01)
@@ -219,7 +246,7 @@ def test_recentring_changes_nothing_but_the_origin():
 
 
 def test_dm_control_engine_keeps_the_scene_as_it_is():
-    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
     nominal = {name: getattr(scene.model, name).copy() for name in ("body_mass", "jnt_stiffness", "geom_friction")}
     first, second = DmControlEngine(scene, Readings()), DmControlEngine(scene, Readings())
     first.fields["body_mass"][0, scene.layout.trunk_body] += 1.0
@@ -230,7 +257,7 @@ def test_dm_control_engine_keeps_the_scene_as_it_is():
 
 
 def test_dm_control_physics_obeys_the_law_by_itself():
-    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
     ours, theirs = (DmControlEngine(scene, Readings()) for _ in range(2))
     for engine in (ours, theirs):
         engine.speeds[:] = [[1.0, 0.3]]
@@ -242,7 +269,7 @@ def test_dm_control_physics_obeys_the_law_by_itself():
 
 
 def test_physics_without_an_engine_refuses_to_step():
-    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
     copied = DmControlEngine(scene, Readings()).physics.copy()
     assert isinstance(copied, RidingPhysics)
     with pytest.raises(RuntimeError, match="no drive law"):

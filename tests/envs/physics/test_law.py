@@ -10,7 +10,7 @@ from torchrl_atr.envs.physics import DriveLaw
 from torchrl_atr.envs.physics.law import drive, resistance
 from torchrl_atr.envs.profiles import Readings, get_readings
 
-DECK = TRANSPORTERS.get("single_board")
+DECK = TRANSPORTERS.get("single_board_g1")
 DT = 0.005
 
 
@@ -60,6 +60,22 @@ def test_drive_peaks_at_twelve_and_three_and_saturates():
 
 def test_from_rest_the_net_peaks_are_eleven_point_eight_and_two_point_eight():
     assert run(law(), (0.78, -0.78), (0.0, 0.0), 1) / DT == pytest.approx([11.8, 2.8])
+
+
+@pytest.mark.parametrize("angle", [0.3, -0.1, 1.0])
+def test_two_boards_at_one_angle_drive_like_a_single_board_at_that_pitch(angle):
+    two = DriveLaw(TRANSPORTERS.get("two_board_g1"), get_readings("default", coulomb_smoothing=0.0))
+    np.testing.assert_allclose(two.mass_scale(np.array([11.0])), law().mass_scale(np.array([11.0])))
+    np.testing.assert_allclose(
+        run(two, (angle, angle), (0.4, -0.2), 3), run(law(), (angle, 0.0), (0.4, -0.2), 3), rtol=1e-12
+    )
+
+
+def test_two_boards_steer_by_half_their_difference():
+    """θ_avg = 0.2, θ_dif = (θ_R - θ_L) / 2 = 0.1: α = -3 · 0.1 / 0.78 - R, so the right board nose down turns right."""
+    two = DriveLaw(TRANSPORTERS.get("two_board_g1"), get_readings("default", coulomb_smoothing=0.0))
+    speed, yaw_rate = run(two, (0.3, 0.1), (0.0, 0.0), 1) / DT
+    assert (speed, yaw_rate) == pytest.approx((12 * 0.2 / 0.78 - 0.2, -3 * 0.1 / 0.78 + 0.2))
 
 
 def test_sign_of_zero_pitch_is_one():

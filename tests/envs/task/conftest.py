@@ -33,6 +33,7 @@ def _state(**given: object) -> RidingState:
         "foot_force": torch.tensor([0.0, 0.0, 30.0]).expand(4, 3),
         "com": torch.tensor([0.0, 0.0, 0.495]),
         "speeds": torch.zeros(2),
+        "driving_tilt": torch.zeros(2),
         "driven_acceleration": torch.zeros(2),
     }
     vectors = "velocity acceleration angular_velocity platform_velocity platform_acceleration other_force"

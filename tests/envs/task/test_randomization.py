@@ -34,7 +34,7 @@ RANGES = {
 
 @pytest.fixture(scope="module")
 def scene():
-    return build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+    return build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
 
 
 def sample(n: int, randomization: str) -> torch.Tensor:
@@ -86,33 +86,35 @@ def test_unknown_randomization_lists_the_known_ones():
 
 def check_truth(env: RidingEnv, x_int: torch.Tensor) -> None:
     """Every simulation's compiled model is what the emitted x_int says, and nothing else changed."""
-    nominal, layout = env.scene.model, env.scene.layout
+    nominal, layout, robot, deck = env.scene.model, env.scene.layout, env.scene.robot, env.scene.transporter
+    unit = UNIT * deck.spring_scale
     value = {name: INTRINSICS[name].unscaled(x_int[:, s]).numpy() for name, s in intrinsic_slices(12).items()}
     for i in range(env.batch_size[0]):
         model = compiled(env, i)
-        trunk, deck = layout.trunk_body, layout.deck_body
+        trunk, decks = layout.trunk_body, layout.deck_bodies
         mass = nominal.body_mass[trunk] + value["payload"][i, 0]
         assert model.body_mass[trunk] == pytest.approx(mass, rel=1e-5)
-        np.testing.assert_allclose(model.body_inertia[trunk], nominal.body_inertia[trunk] * mass / 4.0, rtol=1e-5)
+        expected = nominal.body_inertia[trunk] * mass / nominal.body_mass[trunk]
+        np.testing.assert_allclose(model.body_inertia[trunk], expected, rtol=1e-5)
         np.testing.assert_allclose(model.body_ipos[trunk], nominal.body_ipos[trunk] + value["com_shift"][i], atol=1e-6)
-        deck_mass = 11.5 + value["platform_mass"][i, 0]
-        assert model.body_mass[deck] == pytest.approx(deck_mass, rel=1e-5)
-        expected = nominal.body_inertia[deck] * deck_mass / 11.5
-        np.testing.assert_allclose(model.body_inertia[deck], expected, rtol=1e-5)
+        deck_mass = deck.mass + value["platform_mass"][i, 0]
+        np.testing.assert_allclose(model.body_mass[decks], deck_mass / len(decks), rtol=1e-5)
+        expected = nominal.body_inertia[decks] * deck_mass / deck.mass
+        np.testing.assert_allclose(model.body_inertia[decks], expected, rtol=1e-5)
         gains = model.actuator_gainprm[layout.actuators], model.actuator_biasprm[layout.actuators]
-        np.testing.assert_allclose(gains[0][:, 0], 40.0 * value["kp"][i], rtol=1e-5)
-        np.testing.assert_allclose(gains[1][:, 1], -40.0 * value["kp"][i], rtol=1e-5)
-        np.testing.assert_allclose(gains[1][:, 2], -1.0 * value["kd"][i], rtol=1e-5)
-        assert model.geom_friction[layout.deck_geom, 0] == pytest.approx(value["friction"][i, 0], rel=1e-5)
-        roll, pitch = (model.joint(f"platform_{name}") for name in ("roll", "pitch"))
-        for column, joint in enumerate((roll, pitch)):
-            stiffness = 1.15 * UNIT * value["sb_stiffness"][i, column]
-            assert joint.stiffness[0] == pytest.approx(stiffness, rel=1e-5)
-            damping = 0.025 * UNIT * value["sb_damping"][i, column]
-            assert joint.damping[0] == pytest.approx(damping, rel=1e-5)
+        np.testing.assert_allclose(gains[0][:, 0], robot.kp * value["kp"][i], rtol=1e-5)
+        np.testing.assert_allclose(gains[1][:, 1], -robot.kp * value["kp"][i], rtol=1e-5)
+        np.testing.assert_allclose(gains[1][:, 2], -robot.kd * value["kd"][i], rtol=1e-5)
+        np.testing.assert_allclose(model.geom_friction[layout.deck_geoms, 0], value["friction"][i, 0], rtol=1e-5)
+        table_ii = ("roll", "pitch") if len(decks) == 1 else ("pitch_right", "pitch_left")
+        for column, name in enumerate(table_ii):
+            joint = model.joint(f"platform_{name}")
+            assert joint.stiffness[0] == pytest.approx(1.15 * unit * value["sb_stiffness"][i, column], rel=1e-5)
+            assert joint.damping[0] == pytest.approx(0.025 * unit * value["sb_damping"][i, column], rel=1e-5)
         # derived constants followed
-        assert model.body_subtreemass[trunk] == pytest.approx(11.74 + value["payload"][i, 0], rel=1e-5)
-        others = [body for body in range(nominal.nbody) if body not in (trunk, deck)]
+        total = nominal.body_subtreemass[trunk] + value["payload"][i, 0]
+        assert model.body_subtreemass[trunk] == pytest.approx(total, rel=1e-5)
+        others = [body for body in range(nominal.nbody) if body not in (trunk, *decks)]
         np.testing.assert_array_equal(model.body_mass[others], nominal.body_mass[others])
 
 
@@ -120,9 +122,19 @@ def compiled(env: RidingEnv, i: int):
     return env.engine.batch.get_model(i) if hasattr(env.engine, "batch") else env.engine.physics.model.ptr
 
 
+@pytest.mark.parametrize("randomization", ["train", "test"])
+@pytest.mark.parametrize(("robot", "transporter"), [("a1", "single_board"), ("anymal_c", "two_board")])
 @pytest.mark.parametrize(("physics", "num_envs"), [("batch", 4), ("dm_control", 1)])
-def test_x_int_tells_the_truth_and_resets_do_not_compound(physics, num_envs):
-    env = RidingEnv(num_envs=num_envs, seed=0, physics=physics, randomization="test", num_threads=1)
+def test_x_int_tells_the_truth_and_resets_do_not_compound(physics, num_envs, robot, transporter, randomization):
+    env = RidingEnv(
+        robot,
+        transporter,
+        num_envs=num_envs,
+        seed=0,
+        physics=physics,
+        randomization=randomization,
+        num_threads=1,
+    )
     for _ in range(4):
         x_int = env.reset()["privileged", "intrinsic"]
     check_truth(env, x_int)

@@ -13,7 +13,7 @@ from torchrl_atr.envs.task.terminations import fallen
 
 @pytest.fixture(scope="module")
 def scene():
-    return build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+    return build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
 
 
 @pytest.mark.parametrize(

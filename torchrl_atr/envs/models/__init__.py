@@ -4,9 +4,16 @@ from torchrl_atr.envs.models.loading import load_robot
 from torchrl_atr.envs.models.robot import LEGS, ROBOTS, RobotError, RobotSpec, register_robot
 from torchrl_atr.envs.models.robot_file import get_robot, read_robot
 from torchrl_atr.envs.models.scene import Layout, Scene, build_scene, scene_spec
-from torchrl_atr.envs.models.transporter import TRANSPORTERS, TransporterSpec
+from torchrl_atr.envs.models.transporter import (
+    DESIGNS,
+    TRANSPORTERS,
+    TransporterError,
+    TransporterSpec,
+    get_transporter,
+)
 
 __all__ = [
+    "DESIGNS",
     "LEGS",
     "ROBOTS",
     "TRANSPORTERS",
@@ -14,9 +21,11 @@ __all__ = [
     "RobotError",
     "RobotSpec",
     "Scene",
+    "TransporterError",
     "TransporterSpec",
     "build_scene",
     "get_robot",
+    "get_transporter",
     "load_robot",
     "read_robot",
     "register_robot",

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from torchrl_atr.envs.models.decks import DECK_HEIGHT, PLANAR_JOINTS, PLATFORM, add_transporter
 from torchrl_atr.envs.models.loading import load_robot
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.stance import standing_qpos
@@ -15,14 +16,10 @@ from torchrl_atr.envs.profiles import Readings
 
 TIMESTEP = 0.005
 """Simulation step, s (200 Hz)."""
-DECK_HEIGHT = 0.15
-"""Height of the deck's centre above the floor, m: the altitude controller holds it (no vertical joint)."""
 _ARMATURE_RATIO = 200.0
 # The planar joints carry an armature of 200 robot masses: even wild kicks (random actions of standard
 # deviation 1) move the prescribed motion by under 1 mm/s, and the solver, whose tolerance scales with the
 # trace of the inertia matrix, still converges.
-PLANAR_JOINTS = ("platform_x", "platform_y", "platform_yaw")
-TILT_JOINTS = ("platform_pitch", "platform_roll")
 
 
 @dataclass(frozen=True)
@@ -39,10 +36,12 @@ class Layout:
     tilt_qpos: np.ndarray
     tilt_dof: np.ndarray
     tilt_joints: np.ndarray
+    tilt_gains: np.ndarray
     sensors: dict[str, slice]
     trunk_body: int
-    deck_body: int
-    deck_geom: int
+    platform_body: int
+    deck_bodies: np.ndarray
+    deck_geoms: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -64,17 +63,16 @@ def build_scene(robot: RobotSpec, transporter: TransporterSpec, readings: Readin
         readings: fixes the unit of the self-balancing gains (A12).
 
     Returns:
-        The compiled scene: robot first, then the deck with planar joints x, y, yaw and tilt joints pitch,
-            roll.
+        The compiled scene: robot first, then the transporter with planar joints x, y, yaw and two tilt hinges.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
-        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
         >>> scene.model.nu
         12
     """
     model = scene_spec(robot, transporter, readings or Readings()).compile()
-    return Scene(robot, transporter, model, _layout(model, robot))
+    return Scene(robot, transporter, model, _layout(model, robot, transporter))
 
 
 def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> mujoco.MjSpec:
@@ -84,10 +82,10 @@ def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Reading
     _set_options(spec)
     _add_surroundings(spec)
     robot_mass = float(mujoco.mj_getTotalmass(alone))
-    _add_single_board(spec, transporter, readings, _ARMATURE_RATIO * robot_mass)
+    add_transporter(spec, transporter, readings, _ARMATURE_RATIO * robot_mass)
     _add_sensors(spec, robot)
     model = spec.compile()
-    layout = _layout(model, robot)
+    layout = _layout(model, robot, transporter)
     qpos = standing_qpos(model, robot, transporter, DECK_HEIGHT + transporter.size[2] / 2)
     key = spec.add_key(name="stand", qpos=qpos, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
     key.qvel = np.zeros(model.nv)
@@ -142,35 +140,8 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     world.add_light(pos=[0, 0, 4], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
 
 
-def _add_single_board(spec: mujoco.MjSpec, deck: TransporterSpec, readings: Readings, armature: float) -> None:
-    """One deck: planar joints that the drive law moves, then hinges that the rider tilts (Eqs. 4-6)."""
-    body = spec.worldbody.add_body(name="platform", pos=[0, 0, DECK_HEIGHT])
-    body.add_geom(
-        name="deck",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[side / 2 for side in deck.size],
-        mass=deck.mass,
-        rgba=[0.25, 0.45, 0.62, 1],
-        contype=0,
-        conaffinity=1,
-        # the deck's contact parameters rule: one friction coefficient to randomise
-        priority=1,
-        friction=[1.0, 0.005, 0.0001],
-        solref=[0.01, 1.0],
-        condim=3,
-    )
-    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
-    for name, kind, axis in zip(PLANAR_JOINTS, (slide, slide, hinge), np.eye(3)):
-        body.add_joint(name=name, type=kind, axis=axis, armature=armature)
-    pitch, roll = TILT_JOINTS  # about y and x; the deck's gains are listed roll first
-    for name, axis, gain in ((pitch, np.eye(3)[1], 1), (roll, np.eye(3)[0], 0)):
-        joint = body.add_joint(name=name, type=hinge, axis=axis)
-        joint.stiffness = [deck.sb_stiffness[gain] * readings.sb_unit, 0, 0]
-        joint.damping = [deck.sb_damping[gain] * readings.sb_unit, 0, 0]
-
-
 def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
-    """Foot forces and positions, the contact force on the deck, the robot's centre of mass: one array."""
+    """Foot forces and positions, the contact force on the boards, the robot's centre of mass: one array."""
     force, netforce, one = (
         1 << 1,
         3,
@@ -183,8 +154,8 @@ def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
             type=mujoco.mjtSensor.mjSENS_CONTACT,
             objtype=objtype,
             objname=objname,
-            reftype=mujoco.mjtObj.mjOBJ_GEOM,
-            refname="deck",
+            reftype=mujoco.mjtObj.mjOBJ_XBODY,
+            refname=PLATFORM,
             intprm=[force, netforce, one],
         )
 
@@ -212,12 +183,14 @@ def _inverse(permutation: np.ndarray) -> np.ndarray:
     return inverse
 
 
-def _layout(model: mujoco.MjModel, robot: RobotSpec) -> Layout:
+def _layout(model: mujoco.MjModel, robot: RobotSpec, transporter: TransporterSpec) -> Layout:
     joints = np.array([model.joint(name).id for name in robot.joints], dtype=int)
     actuator_of_joint = {int(joint): i for i, joint in enumerate(model.actuator_trnid[:, 0])}
     root = model.body(robot.trunk).jntadr[0]
     planar = np.array([model.joint(name).id for name in PLANAR_JOINTS])
-    tilt = np.array([model.joint(name).id for name in TILT_JOINTS])
+    hinges = transporter.design.hinges
+    tilt = np.array([model.joint(hinge.name).id for hinge in hinges])
+    decks = np.array([model.geom(board.name).id for board in transporter.design.boards])
 
     def sensor(first: str, last: str) -> slice:
         end = model.sensor(last)
@@ -235,6 +208,7 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec) -> Layout:
         tilt_qpos=model.jnt_qposadr[tilt],
         tilt_dof=model.jnt_dofadr[tilt],
         tilt_joints=tilt,
+        tilt_gains=np.array([hinge.gain for hinge in hinges]),
         sensors={
             "foot_force": sensor(f"force_{feet[0]}", f"force_{feet[-1]}"),
             "robot_force": sensor("force_robot", "force_robot"),
@@ -242,6 +216,7 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec) -> Layout:
             "com": sensor("com", "com"),
         },
         trunk_body=model.body(robot.trunk).id,
-        deck_body=model.body("platform").id,
-        deck_geom=model.geom("deck").id,
+        platform_body=model.body(PLATFORM).id,
+        deck_bodies=model.geom_bodyid[decks],
+        deck_geoms=decks,
     )

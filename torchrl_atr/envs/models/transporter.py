@@ -1,10 +1,92 @@
-"""Transporters: geometry, mass, self-balancing gains and drive limits."""
+"""Transporters: how they are built, which tilt drives them, and their measures."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torchrl_atr._registry import Registry
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_atr._errors import UserError
+from torchrl_atr._registry import Registry, UnknownNameError
+from torchrl_atr.envs.models.robot import GROUPS, RobotSpec
+from torchrl_atr.envs.profiles import Readings
+
+Matrix = tuple[tuple[float, float], tuple[float, float]]
+
+
+class TransporterError(UserError, ValueError):
+    """A transporter of impossible measures; the message names the culprit and the remedy."""
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A self-balancing hinge between a board and the pivot P.
+
+    Attributes:
+        name: of the joint.
+        axis: x (roll) or y (pitch) in the frame of P.
+        gain: which of Table II's two self-balancing gains is its own, 0 or 1.
+    """
+
+    name: str
+    axis: tuple[float, float, float]
+    gain: int
+
+
+@dataclass(frozen=True)
+class Board:
+    """One board of a transporter.
+
+    Attributes:
+        name: of its geom.
+        offset: of its centre to the left of P, as a share of the transporter's width.
+        share: of the transporter's width and mass.
+        hinges: from P outwards.
+    """
+
+    name: str
+    offset: float
+    share: float
+    hinges: tuple[Hinge, ...]
+
+
+@dataclass(frozen=True)
+class Design:
+    """A type of transporter: its boards and what their two hinge angles mean.
+
+    Attributes:
+        boards: of equal length and thickness, side by side.
+        driving: the forward and the steering tilt (rows) as combinations of the hinge angles, in the boards' order.
+        attitude: pitch and roll (rows) of the frame P, likewise.
+    """
+
+    boards: tuple[Board, ...]
+    driving: Matrix
+    attitude: Matrix
+
+    @property
+    def hinges(self) -> tuple[Hinge, ...]:
+        """All hinges, in the boards' order."""
+        return tuple(hinge for board in self.boards for hinge in board.hinges)
+
+
+_X, _Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+SINGLE_BOARD = Design(
+    boards=(Board("deck", 0.0, 1.0, (Hinge("platform_pitch", _Y, 1), Hinge("platform_roll", _X, 0))),),
+    driving=((1.0, 0.0), (0.0, 1.0)),
+    attitude=((1.0, 0.0), (0.0, 1.0)),
+)
+"""Type 1 (Eqs. 1-6): pitch θ_y drives forward, roll θ_x steers."""
+TWO_BOARD = Design(
+    boards=(
+        Board("deck_right", -0.25, 0.5, (Hinge("platform_pitch_right", _Y, 0),)),
+        Board("deck_left", 0.25, 0.5, (Hinge("platform_pitch_left", _Y, 1),)),
+    ),
+    driving=((0.5, 0.5), (0.5, -0.5)),
+    attitude=((0.5, 0.5), (0.0, 0.0)),
+)
+"""Type 2 (Eqs. 7-14): θ_avg drives forward, θ_dif steers; P pitches with the average and does not roll."""
 
 
 @dataclass(frozen=True)
@@ -12,21 +94,25 @@ class TransporterSpec:
     """A tilt-driven transporter (Table IV and the paper's "Configuration of Transporters").
 
     Attributes:
-        name: registry name.
-        kind: which tilt drives it; a key of :data:`torchrl_atr.envs.physics.law.DRIVING_TILTS`.
-        size: deck length, width and thickness, m.
-        mass: nominal mass, kg.
-        max_acceleration: v̇max, m/s² at a pitch of ``tilt_norm``.
-        max_yaw_acceleration: αmax, rad/s² at a roll of ``tilt_norm``.
+        name: what messages and models call it.
+        design: its boards and hinges.
+        size: length, width and thickness of all boards together, m.
+        mass: nominal, of all boards together, kg (A14).
+        max_acceleration: v̇max, m/s² at a forward tilt of ``tilt_norm``.
+        max_yaw_acceleration: αmax, rad/s² at a steering tilt of ``tilt_norm``.
         tilt_norm: θnp, rad.
         resistance: the coefficients (c0, c1, c2) of R(x) = c0 + c1 x + c2 x².
-        sb_stiffness: nominal self-balancing stiffness (roll, pitch) as printed in Table II (its unit is
-            reading A12).
-        sb_damping: nominal self-balancing damping (roll, pitch) as printed in Table II.
+        sb_stiffness: nominal self-balancing stiffness as printed in Table II (its unit is reading A12): roll and
+            pitch of a single board, right and left of two.
+        sb_damping: nominal self-balancing damping, likewise.
+        spring_scale: what both are multiplied by under the reading ``scaled_springs`` (A12).
+
+    Raises:
+        TransporterError: for a size, mass or limit that is not positive.
     """
 
     name: str
-    kind: str
+    design: Design
     size: tuple[float, float, float]
     mass: float
     max_acceleration: float = 12.0
@@ -35,22 +121,67 @@ class TransporterSpec:
     resistance: tuple[float, float, float] = (0.2, 0.05, 0.005)
     sb_stiffness: tuple[float, float] = (1.15, 1.15)
     sb_damping: tuple[float, float] = (0.025, 0.025)
+    spring_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        figures = {"size": min(self.size), "mass": self.mass, "tilt_norm": self.tilt_norm}
+        figures |= {"max_acceleration": self.max_acceleration, "max_yaw_acceleration": self.max_yaw_acceleration}
+        for name, value in {**figures, "spring_scale": self.spring_scale}.items():
+            if not value > 0:
+                raise TransporterError(f"transporter {self.name!r}: {name}={value!r} must be positive (SI units)")
+
+    def board_size(self, board: Board) -> tuple[float, float, float]:
+        """Length, width and thickness of one of the boards, m."""
+        length, width, thickness = self.size
+        return length, board.share * width, thickness
 
     @property
     def inertia(self) -> tuple[float, float, float]:
-        """Moments of inertia (Ixx, Iyy, Izz) of the uniform deck about its centre, kg m²."""
-        length, width, height = self.size
-        scale = self.mass / 12.0
-        return (
-            scale * (width**2 + height**2),
-            scale * (length**2 + height**2),
-            scale * (length**2 + width**2),
-        )
+        """Moments of inertia (Ixx, Iyy, Izz) of the level boards about P, kg m²; I*_P by the parallel-axis theorem."""
+        total = np.zeros(3)
+        for board in self.design.boards:
+            mass, (length, width, height) = board.share * self.mass, self.board_size(board)
+            own = np.array([width**2 + height**2, length**2 + height**2, length**2 + width**2]) / 12.0
+            total += mass * (own + np.array([1.0, 0.0, 1.0]) * (board.offset * self.size[1]) ** 2)
+        return float(total[0]), float(total[1]), float(total[2])
+
+    def springs(self, readings: Readings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Nominal self-balancing stiffness and damping in Table II's order, N m/rad and N m s/rad, (2,) each (A12)."""
+        unit = readings.sb_unit * (self.spring_scale if readings.scaled_springs else 1.0)
+        return unit * np.array(self.sb_stiffness), unit * np.array(self.sb_damping)
 
 
 TRANSPORTERS: Registry[TransporterSpec] = Registry("transporter")
+DESIGNS: dict[str, Design] = {"single_board": SINGLE_BOARD, "two_board": TWO_BOARD}
+_SIZES = {"G1": ((0.9, 0.7, 0.05), 11.5, 1.0), "G2": ((1.5, 1.1, 0.05), 30.0, 5.0)}
+for _kind, _design in DESIGNS.items():
+    for _group in GROUPS:
+        _size, _mass, _scale = _SIZES[_group]
+        _name = f"{_kind}_{_group.lower()}"
+        TRANSPORTERS.register(_name, TransporterSpec(_name, _design, _size, _mass, spring_scale=_scale))
 
-TRANSPORTERS.register(
-    "single_board",
-    TransporterSpec(name="single_board", kind="single_board", size=(0.9, 0.7, 0.05), mass=11.5),
-)
+
+def get_transporter(transporter: str | TransporterSpec, robot: RobotSpec) -> TransporterSpec:
+    """The transporter that is meant, wherever one can be chosen.
+
+    Args:
+        transporter: a registered name; ``single_board`` or ``two_board`` for the one of the robot's size class; or a
+            spec of your own.
+        robot: the rider.
+
+    Raises:
+        UnknownNameError: for an unknown name.
+
+    Example:
+        >>> from torchrl_atr.envs.models import ROBOTS
+        >>> get_transporter("two_board", ROBOTS.get("spot")).name
+        'two_board_g2'
+    """
+    if isinstance(transporter, TransporterSpec):
+        return transporter
+    if transporter in DESIGNS:
+        return TRANSPORTERS.get(f"{transporter}_{robot.group.lower()}")
+    if transporter not in TRANSPORTERS.names():
+        known = ", ".join([*DESIGNS, *TRANSPORTERS.names()])
+        raise UnknownNameError(f"unknown transporter {transporter!r}; known: {known}")
+    return TRANSPORTERS.get(transporter)

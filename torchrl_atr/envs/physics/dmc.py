@@ -57,7 +57,7 @@ class DmControlEngine(Engine):
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
-        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board"))
+        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
         >>> engine = DmControlEngine(scene, Readings())
         >>> engine.step(np.array([scene.robot.q0]))
         >>> round(float(engine.physics.data.time), 3)

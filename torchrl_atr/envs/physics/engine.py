@@ -47,8 +47,8 @@ class PhysicalParameters:
         kd: PD damping, N m s/rad, (n, 12).
         platform_mass: kg, (n,).
         friction: sliding friction between feet and deck, (n,).
-        sb_stiffness: self-balancing stiffness (roll, pitch), N m/rad, (n, 2).
-        sb_damping: self-balancing damping (roll, pitch), N m s/rad, (n, 2).
+        sb_stiffness: self-balancing stiffness in Table II's order (roll, pitch; or right, left), N m/rad, (n, 2).
+        sb_damping: self-balancing damping, likewise, N m s/rad, (n, 2).
     """
 
     payload: Array
@@ -189,20 +189,19 @@ class Engine(ABC):
     def _write_parameters(self, rows: NDArray[np.int64], parameters: PhysicalParameters) -> None:
         """Writes Table II's parameters into the fields of ``rows``, starting from the nominal model."""
         model, layout, fields = self.scene.model, self.scene.layout, self.fields
-        trunk, deck = layout.trunk_body, layout.deck_body
-        trunk_mass = model.body_mass[trunk] + parameters.payload
-        for body, mass in ((trunk, trunk_mass), (deck, parameters.platform_mass)):
-            fields["body_mass"][rows, body] = mass
-            fields["body_inertia"][rows, body] = model.body_inertia[body] * (mass / model.body_mass[body])[:, None]
+        trunk, each = layout.trunk_body, rows[:, None]
+        shares = parameters.platform_mass / self.scene.transporter.mass
+        scales = {trunk: 1.0 + parameters.payload / model.body_mass[trunk]} | dict.fromkeys(layout.deck_bodies, shares)
+        for body, scale in scales.items():
+            fields["body_mass"][rows, body] = scale * model.body_mass[body]
+            fields["body_inertia"][rows, body] = scale[:, None] * model.body_inertia[body]
         fields["body_ipos"][rows, trunk] = model.body_ipos[trunk] + parameters.com_shift
-        each = rows[:, None]
         fields["actuator_gainprm"][each, layout.actuators, 0] = parameters.kp
         fields["actuator_biasprm"][each, layout.actuators, 1] = -parameters.kp
         fields["actuator_biasprm"][each, layout.actuators, 2] = -parameters.kd
-        fields["geom_friction"][rows, layout.deck_geom, 0] = parameters.friction
-        # the scene lists pitch before roll, Table II roll before pitch
-        fields["jnt_stiffness"][each, layout.tilt_joints] = parameters.sb_stiffness[:, ::-1]
-        fields["dof_damping"][each, layout.tilt_dof] = parameters.sb_damping[:, ::-1]
+        fields["geom_friction"][each, layout.deck_geoms, 0] = parameters.friction[:, None]
+        fields["jnt_stiffness"][each, layout.tilt_joints] = parameters.sb_stiffness[:, layout.tilt_gains]
+        fields["dof_damping"][each, layout.tilt_dof] = parameters.sb_damping[:, layout.tilt_gains]
 
     def _refresh_deck(self, rows: NDArray[np.int64], mass: Array) -> None:
         deck, armature = self.scene.transporter, self.scene.model.dof_armature[self.scene.layout.planar_dof]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,15 +11,6 @@ from torchrl_atr.envs.models.transporter import TransporterSpec
 from torchrl_atr.envs.profiles import Readings
 
 Array = NDArray[np.float64]
-
-
-def single_board_tilt(pitch: Array, roll: Array) -> tuple[Array, Array]:
-    """Forward and steering tilt of a single board: its pitch θ_y and roll θ_x, rad (Eqs. 1 and 3)."""
-    return pitch, roll
-
-
-DRIVING_TILTS: dict[str, Callable[[Array, Array], tuple[Array, Array]]] = {"single_board": single_board_tilt}
-"""For each kind of transporter, the map from its two hinge angles to (forward tilt, steering tilt)."""
 
 
 def resistance(x: Array, coefficients: tuple[float, float, float], readings: Readings) -> Array:
@@ -105,7 +95,7 @@ class DriveLaw:
 
     Example:
         >>> from torchrl_atr.envs.models import TRANSPORTERS
-        >>> law = DriveLaw(TRANSPORTERS.get("single_board"), Readings(coulomb_smoothing=0.0))
+        >>> law = DriveLaw(TRANSPORTERS.get("single_board_g1"), Readings(coulomb_smoothing=0.0))
         >>> speed = law(np.zeros((1, 2)), np.array([[0.78, 0.0]]), np.ones((1, 2)), dt=0.005)
         >>> bool(np.allclose(speed, [[0.005 * (12 - 0.2), 0.0]]))
         True
@@ -121,7 +111,7 @@ class DriveLaw:
             mass: platform mass, kg, shape (N,).
 
         Returns:
-            Shape (N, 2): forward, yaw. The deck is a uniform box, so I_zz follows its mass.
+            Shape (N, 2): forward, yaw. The boards are uniform boxes, so I_zz (or I*_zz) follows their mass.
         """
         inertia = mass / self.deck.mass * self.deck.inertia[2]
         reference = (self.deck.mass, self.deck.inertia[2]) if self.readings.relative_mass else (1.0, 1.0)
@@ -132,12 +122,12 @@ class DriveLaw:
 
         Args:
             speeds: v_f (m/s) and ω_z (rad/s), shape (N, 2).
-            tilt: the two hinge angles (pitch, roll), rad, shape (N, 2).
+            tilt: the two hinge angles in the design's order (pitch, roll; or right, left), rad, shape (N, 2).
             scale: from :meth:`mass_scale`, shape (N, 2).
             dt: substep, s.
         """
-        tilts = DRIVING_TILTS[self.deck.kind](tilt[:, 0], tilt[:, 1])
-        pushes = drive(*tilts, self.deck, self.readings)
+        forward, steering = np.asarray(self.deck.design.driving) @ tilt.T
+        pushes = drive(forward, steering, self.deck, self.readings)
         coefficients = self.deck.resistance
         return np.stack(
             [

@@ -185,7 +185,7 @@ class RidingTask:
             "odometry": self.odometry[rows],
             "observation": torch.cat([proprio, command], -1),
             ("privileged", "intrinsic"): self.x_int[rows],
-            ("privileged", "extrinsic"): observations.extrinsic(state),
+            ("privileged", "extrinsic"): observations.extrinsic(state, self.readings),
             ("privileged", "outlook"): outlook(state, command),
         }
 

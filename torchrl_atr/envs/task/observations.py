@@ -84,6 +84,11 @@ def proprio(state: RidingState, previous_action: Tensor, readings: Readings) -> 
     return torch.cat([*(component(state, readings) for component in PROPRIO.values()), previous_action], -1)
 
 
-def extrinsic(state: RidingState) -> Tensor:
-    """x_ext, (N, 16), raw SI units."""
-    return torch.cat([component(state) for component in EXTRINSIC.values()], -1)
+def extrinsic_components(readings: Readings) -> tuple[str, ...]:
+    """Names of x_ext's components: all of :data:`EXTRINSIC`, or without the relative pose (A1)."""
+    return tuple(name for name in EXTRINSIC if readings.relative_pose or not name.startswith("relative"))
+
+
+def extrinsic(state: RidingState, readings: Readings) -> Tensor:
+    """x_ext, (N, 16), or (N, 13) without the relative pose, raw SI units."""
+    return torch.cat([EXTRINSIC[name](state) for name in extrinsic_components(readings)], -1)

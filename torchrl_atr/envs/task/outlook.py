@@ -13,7 +13,7 @@ HORIZONS = (0.0, 0.5, 1.0, 2.0)
 
 
 def outlook(state: RidingState, command: Tensor) -> Tensor:
-    """Deck tilt, driven accelerations, tracking errors and the tracking kernels a few moments ahead.
+    """Driving tilts, driven accelerations, tracking errors and the tracking kernels a few moments ahead.
 
     A lean pays seconds later, through the tilt it causes, and the yaw drive is a product: sgn(θ_y) clip(-θ_x). A value
     function that has to find this in joint angles credits a lean late and through much noise; told outright, the
@@ -24,9 +24,9 @@ def outlook(state: RidingState, command: Tensor) -> Tensor:
         command: (c_v, c_ω), (N, 2).
 
     Returns:
-        (N, 14): roll and pitch of the deck, rad; driven v̇ and α; speed errors; exp(-|e|/0.5) of both at each of
+        (N, 14): steering and forward tilt, rad; driven v̇ and α; speed errors; exp(-|e|/0.5) of both at each of
         :data:`HORIZONS` if the accelerations lasted.
     """
     error = state.speeds - command
     ahead = [tracking_kernel(error + horizon * state.driven_acceleration) for horizon in HORIZONS]
-    return torch.cat([state.platform_euler[:, :2], state.driven_acceleration, error, *ahead], -1)
+    return torch.cat([state.driving_tilt.flip(-1), state.driven_acceleration, error, *ahead], -1)

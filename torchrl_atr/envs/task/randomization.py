@@ -16,6 +16,8 @@ from torchrl_atr.envs.profiles import Readings
 
 Randomization = Literal["train", "test", "off"]
 RANDOMIZATIONS: tuple[Randomization, ...] = ("train", "test", "off")
+TABLE_II_KP, TABLE_II_KD = 40.0, 1.0
+"""Midpoints of Table II's ranges, N m/rad and N m s/rad, for every robot if A13 is read literally."""
 _MIN_MASS_SHARE = 0.1
 """A platform never gets lighter than this share of its nominal mass (A14)."""
 
@@ -109,7 +111,7 @@ def physical_parameters(x_int: Tensor, scene: Scene, readings: Readings) -> Phys
     Args:
         x_int: (n, 34), scaled as :func:`sample_intrinsics` returns it.
         scene: nominal gains and masses.
-        readings: the unit of the self-balancing gains (A12).
+        readings: the self-balancing gains' unit and scale (A12), the PD gains' (A13).
     """
     robot, deck = scene.robot, scene.transporter
     slices = intrinsic_slices(len(robot.joints))
@@ -117,13 +119,14 @@ def physical_parameters(x_int: Tensor, scene: Scene, readings: Readings) -> Phys
         INTRINSICS[name].unscaled(x_int[:, slices[name]].double()).numpy()
     )
     mass = np.maximum(deck.mass + value("platform_mass")[:, 0], _MIN_MASS_SHARE * deck.mass)
+    stiffness, damping = deck.springs(readings)
     return PhysicalParameters(
         payload=value("payload")[:, 0],
         com_shift=value("com_shift"),
-        kp=value("kp") * robot.kp,
-        kd=value("kd") * robot.kd,
+        kp=value("kp") * (robot.kp if readings.gains_as_ratios else TABLE_II_KP),
+        kd=value("kd") * (robot.kd if readings.gains_as_ratios else TABLE_II_KD),
         platform_mass=mass,
         friction=value("friction")[:, 0],
-        sb_stiffness=value("sb_stiffness") * np.array(deck.sb_stiffness) * readings.sb_unit,
-        sb_damping=value("sb_damping") * np.array(deck.sb_damping) * readings.sb_unit,
+        sb_stiffness=value("sb_stiffness") * stiffness,
+        sb_damping=value("sb_damping") * damping,
     )

@@ -9,7 +9,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchrl_atr.envs.models.scene import DECK_HEIGHT, TIMESTEP, Scene
+from torchrl_atr.envs.models.decks import DECK_HEIGHT
+from torchrl_atr.envs.models.scene import TIMESTEP
 from torchrl_atr.envs.physics.engine import DECIMATION, Engine
 from torchrl_atr.envs.task.rotations import (
     euler_from_matrix,
@@ -41,7 +42,8 @@ class RidingState:
         angular_velocity: ω_B in the body frame, (N, 3).
         joint_position, joint_velocity, joint_acceleration, torque: q, q̇, q̈, τ in the spec's order, (N, 12).
         platform_position, platform_velocity, platform_acceleration: of the pivot P, (N, 3).
-        platform_rotation: (N, 3, 3); platform_euler: (N, 3).
+        platform_rotation: (N, 3, 3); platform_euler: (N, 3). Of two boards, P has the average pitch and no roll.
+        driving_tilt: forward and steering tilt, what drives the transporter (Eqs. 1, 3, 7), rad, (N, 2).
         platform_angular_velocity, platform_angular_acceleration: world frame, (N, 3).
         speeds: the drive law's forward speed and yaw rate in P_planar, (N, 2).
         driven_acceleration: v̇ and α that the law gives at this tilt, m/s² and rad/s², (N, 2).
@@ -65,6 +67,7 @@ class RidingState:
     platform_acceleration: Tensor
     platform_rotation: Tensor
     platform_euler: Tensor
+    driving_tilt: Tensor
     platform_angular_velocity: Tensor
     platform_angular_acceleration: Tensor
     speeds: Tensor
@@ -108,6 +111,8 @@ class StateReader:
         self._joint_qpos = torch.as_tensor(layout.joint_qpos, dtype=torch.long)
         self._joint_dof = torch.as_tensor(layout.joint_dof, dtype=torch.long)
         self._actuators = torch.as_tensor(layout.actuators, dtype=torch.long)
+        design = engine.scene.transporter.design
+        self._driving, self._attitude = torch.tensor(design.driving), torch.tensor(design.attitude)
         self._previous = self._velocities(*self._simulation(slice(None)))
 
     def forget(self, rows: Rows = slice(None)) -> None:
@@ -129,8 +134,23 @@ class StateReader:
             body=qvel[:, root : root + 3],
             joint=qvel[:, self._joint_dof],
             platform=torch.cat([qvel[:, planar : planar + 2], qvel.new_zeros(len(qvel), 1)], -1),
-            platform_angular=_hinge_rates(qpos, qvel, self.engine.scene),
+            platform_angular=self._platform_angular_velocity(qpos, qvel),
         )
+
+    def _platform_angular_velocity(self, qpos: Tensor, qvel: Tensor) -> Tensor:
+        """Of P, world frame, from its rates: yaw, then pitch, then roll."""
+        layout = self.engine.scene.layout
+        yaw, pitch = qpos[:, int(layout.planar_qpos[2])], self._hinges(qpos, layout.tilt_qpos, self._attitude)[:, 0]
+        pitch_rate, roll_rate = self._hinges(qvel, layout.tilt_dof, self._attitude).unbind(-1)
+        local = torch.stack([torch.cos(pitch) * roll_rate, pitch_rate, -torch.sin(pitch) * roll_rate], -1)
+        world = rotate(matrix_from_euler(torch.zeros_like(yaw), torch.zeros_like(yaw), yaw), local)
+        world[:, 2] += qvel[:, int(layout.planar_dof[2])]
+        return world
+
+    @staticmethod
+    def _hinges(values: Tensor, addresses: NDArray[np.int64], combination: Tensor) -> Tensor:
+        """Combinations (rows of ``combination``) of the two hinges' angles or rates, (n, 2)."""
+        return values[:, torch.as_tensor(addresses, dtype=torch.long)] @ combination.T
 
     def read(self, rows: Rows = slice(None)) -> RidingState:
         """The state of ``rows`` now; accelerations are differences to their previous reading."""
@@ -141,7 +161,7 @@ class StateReader:
         rates = {name: (value - getattr(self._previous, name)[rows]) / CONTROL_DT for name, value in vars(now).items()}
         self._remember(rows, now)
         root, planar = layout.root_qpos, int(layout.planar_qpos[0])
-        pitch, roll = (qpos[:, int(i)] for i in layout.tilt_qpos)
+        pitch, roll = self._hinges(qpos, layout.tilt_qpos, self._attitude).unbind(-1)
         yaw = qpos[:, planar + 2]
         rotation = matrix_from_quaternion(qpos[:, root + 3 : root + 7])
         # contact sensors give the force on the deck; the feet feel the opposite
@@ -163,6 +183,7 @@ class StateReader:
             platform_acceleration=rates["platform"],
             platform_rotation=matrix_from_euler(roll, pitch, yaw),
             platform_euler=torch.stack([roll, pitch, yaw], -1),
+            driving_tilt=self._hinges(qpos, layout.tilt_qpos, self._driving),
             platform_angular_velocity=now.platform_angular,
             platform_angular_acceleration=rates["platform_angular"],
             speeds=_float(engine.speeds[rows]),
@@ -176,14 +197,3 @@ class StateReader:
 
 def _float(array: NDArray[np.float64]) -> Tensor:
     return torch.tensor(array, dtype=torch.float32)
-
-
-def _hinge_rates(qpos: Tensor, qvel: Tensor, scene: Scene) -> Tensor:
-    """World angular velocity of the deck from its hinge rates: yaw, then pitch, then roll."""
-    layout = scene.layout
-    yaw, pitch = qpos[:, int(layout.planar_qpos[2])], qpos[:, int(layout.tilt_qpos[0])]
-    pitch_rate, roll_rate = (qvel[:, int(i)] for i in layout.tilt_dof)
-    local = torch.stack([torch.cos(pitch) * roll_rate, pitch_rate, -torch.sin(pitch) * roll_rate], -1)
-    world = rotate(matrix_from_euler(torch.zeros_like(yaw), torch.zeros_like(yaw), yaw), local)
-    world[:, 2] += qvel[:, int(layout.planar_dof[2])]
-    return world

@@ -1,0 +1,82 @@
+"""What a profile changes in the recipe: the points of the paper that are not the env's (see ``envs.profiles``)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from torchrl_atr.envs.profiles import Point
+
+RECIPE_POINTS: dict[str, Point] = {
+    "act_source": Point(
+        "A24",
+        "The paper's figure shows the privileged policy in training and the estimates in deployment.\n"
+        "Half of the robots act on their estimates in training, so that estimators see what their errors lead to.",
+        literal="privileged",
+        ancestor="privileged",
+    ),
+    "dead_reckoning": Point(
+        "ours",
+        "The extrinsic estimator reads 0.2 s of history, which sees speed only through the resistance: 0.06 m/s²\n"
+        "for each m/s. By default it also reads the integral of the measured acceleration.",
+        literal=False,
+        ancestor=False,
+    ),
+    "steering_cue": Point(
+        "ours",
+        "Table I's actor reads o_t, z and x_ext. The lean that turns changes sign with the speed command (Eq. 3),\n"
+        "an exclusive-or that gradients find late; by default the actor also reads tanh(c_v) c_ω.",
+        literal=False,
+        ancestor=False,
+    ),
+    "normalize_targets": Point(
+        "A25",
+        "Eq. 16 sums squared errors of contacts (0 or 1), velocities (up to 15 m/s) and positions alike.\n"
+        "Measured in standard deviations each counts.",
+        literal=False,
+    ),
+    "roa_ramp": Point(
+        "A23",
+        "Whether λ = 0.2 is constant or the end of a ramp is open.\nConstant; the ancestors ramp it up.",
+        ancestor=True,
+    ),
+    "count_own_twice": Point(
+        "A4",
+        "Whether the own cell is part of the neighbourhood that grows, or grows once more, is open.\n"
+        "Once; the ancestors' code counts it twice.",
+        ancestor=True,
+    ),
+    "init_std": Point(
+        "A21",
+        "The paper gives no PPO hyper-parameters. The ancestors explore with a standard deviation of 1:\n"
+        "on a board, robots then fall within two seconds.",
+        ancestor=1.0,
+    ),
+    "relative_std": Point("A21", "As init_std.\nLegs pulling against each other tilt nothing.", ancestor=1.0),
+    "noise_correlation": Point(
+        "A21",
+        "White noise at 50 Hz averages out before a board has tilted.\nHere a deviation lasts for some ten steps.",
+        ancestor=0.0,
+    ),
+    "anneal_from": Point(
+        "A21",
+        "Late in a run noise hides which way the board is tilted.\nBy default its ceiling sinks; not in the ancestors.",
+        ancestor=0.99,
+    ),
+}
+"""Fields of :class:`~torchrl_atr.training.TrainConfig` that a profile sets, unless the user does."""
+
+
+def recipe_of(profile: str) -> dict[str, Any]:
+    """Settings of a profile that differ from the default's.
+
+    Args:
+        profile: name; one that is not ours changes nothing.
+
+    Example:
+        >>> recipe_of("literal")["act_source"]
+        'privileged'
+    """
+    if profile not in ("literal", "ancestor"):
+        return {}
+    values = {name: getattr(point, profile) for name, point in RECIPE_POINTS.items()}
+    return {name: value for name, value in values.items() if value is not None}
