@@ -47,6 +47,7 @@ class TrainConfig:
         gamma, gae_lambda: discount and GAE's λ.
         epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
         learning_rate, max_learning_rate, target_kl: of the policy; adapted to the measured KL divergence.
+        final_kl: what ``target_kl`` sinks to while the exploration is annealed, so that the policy settles.
         critic_learning_rate, estimator_learning_rate: fixed.
         clip_epsilon, entropy_coeff, max_grad_norm: PPO.
         init_std: exploration of what all legs do alike (lean, shift, lift), in units of the action.
@@ -97,6 +98,7 @@ class TrainConfig:
     learning_rate: float = 3e-4
     max_learning_rate: float = 2e-3
     target_kl: float = 0.04
+    final_kl: float = 0.01
     critic_learning_rate: float = 1e-3
     estimator_learning_rate: float = 1e-3
     clip_epsilon: float = 0.2
@@ -197,6 +199,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "learning_rate": (_POSITIVE, 1),
     "max_learning_rate": (_POSITIVE, 1),
     "target_kl": (_POSITIVE, 10),
+    "final_kl": (_POSITIVE, 10),
     "critic_learning_rate": (_POSITIVE, 1),
     "estimator_learning_rate": (_POSITIVE, 1),
     "clip_epsilon": (_POSITIVE, 1),

@@ -74,15 +74,17 @@ class Learner:
         )
 
     def anneal(self, progress: float) -> None:
-        """Lowers the ceiling of the exploration (late in a run, noise hides which way the board is tilted), ramps λ.
+        """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ.
+
+        Noise hides which way the board is tilted, and steps that follow a batch's noise unsettle what was learned.
 
         Args:
             progress: share of the run that is over, in [0, 1].
         """
         config = self.config
-        late = max(0.0, progress - config.anneal_from) / (1 - config.anneal_from)
-        ceiling = config.init_std + min(late, 1.0) * (config.final_std - config.init_std)
-        self.networks.backbone.std.cap_(ceiling)
+        late = min(max(0.0, progress - config.anneal_from) / (1 - config.anneal_from), 1.0)
+        self.networks.backbone.std.cap_(config.init_std + late * (config.final_std - config.init_std))
+        self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
         if self._roa_ramp is not None:
             self._roa_ramp.step(progress)
 

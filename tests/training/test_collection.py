@@ -1,0 +1,56 @@
+"""Collection in this process and in workers: one contract."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+import torch
+
+from torchrl_atr.modules import correlate
+from torchrl_atr.training import ConfigError, Learner, make_config, make_env, make_run_networks
+from torchrl_atr.training.collection import Collection
+
+TINY = {"num_envs": 8, "rollout_steps": 4, "minibatches": 1, "num_threads": 1, "workers": 2}
+
+
+@pytest.mark.parametrize("collector", ["direct", "process"])
+def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
+    """Recorded log-probabilities are the learner's own, before and after it moved; workers draw different robots."""
+    config = make_config({**TINY, "collector": collector})
+    torch.manual_seed(0)
+    env = make_env(config)
+    networks = make_run_networks(config, env)
+    learner = Learner(networks, config)
+    policy = correlate(networks.rollout_policy(config.act_source, config.student_fraction), config.noise_correlation)
+    collection = Collection(config, env, partial(make_env, config), policy)
+    try:
+        batches = iter(collection)
+        for _ in range(2):
+            batch = next(batches)
+            assert batch.shape == (8, 4)
+            flat = batch.reshape(-1)
+            with torch.no_grad():
+                log_prob = networks.training_actor(config.act_source).get_dist(flat.clone()).log_prob(flat["action"])
+            torch.testing.assert_close(log_prob, flat["action_log_prob"], rtol=0, atol=1e-5)
+            learner.update(batch)
+            collection.publish()
+            cell = (0, 0)  # far from any command: only an exchange can raise it elsewhere
+            collection.curriculum.weights[cell] = 0.75
+            collection.exchange()
+            assert collection.curriculum.weights[cell] == 0.75
+        intrinsics = batch["privileged", "intrinsic"][:, 0]
+        assert len(torch.unique(intrinsics, dim=0)) == 8
+        assert collection.num_diverged == 0
+        if collector == "process":
+            for weights in collection.collector.get_distant_attr("env.transform[0].weights"):
+                torch.testing.assert_close(weights, collection.curriculum.weights)
+    finally:
+        collection.shutdown()
+
+
+def test_robots_must_divide_among_the_workers():
+    with pytest.raises(ConfigError, match="num_envs=7 cannot be shared evenly by workers=2"):
+        make_config({**TINY, "num_envs": 7, "collector": "process"})
+    with pytest.raises(ConfigError, match="collector='ssh' is unknown; choose one of direct, process"):
+        make_config({"collector": "ssh"})
