@@ -7,7 +7,9 @@ import math
 
 import pytest
 
-from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings
+from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings, points
+from torchrl_atr.envs.riding import RidingEnv
+from torchrl_atr.training import RECIPE_POINTS
 
 
 def test_profiles_are_default_literal_and_ancestor():
@@ -35,6 +37,30 @@ def test_overrides_replace_fields_of_a_profile_or_of_own_readings():
     literal = get_readings("literal")
     assert get_readings("literal", coulomb_smoothing=0.5) == dataclasses.replace(literal, coulomb_smoothing=0.5)
     assert get_readings(Readings(tilt_limit=0.5), positive_rewards=True).tilt_limit == 0.5
+
+
+def test_every_reading_gives_its_reason_in_two_lines_and_every_profile_follows_from_it():
+    for name, point in {**points(), **RECIPE_POINTS}.items():
+        assert len(point.why.splitlines()) == 2, name
+        assert point.number
+    for name, point in points().items():
+        for profile in ("literal", "ancestor"):
+            chosen = getattr(point, profile)
+            expected = getattr(Readings(), name) if chosen is None else chosen
+            assert getattr(get_readings(profile), name) == expected
+
+
+def test_table_i_taken_literally_gives_thirteen_extrinsic_states():
+    env = RidingEnv(num_envs=1, profile="literal", seed=0, num_threads=1)
+    assert env.observation_spec["privileged", "extrinsic"].shape == (1, 13)
+    assert env.rollout(2)["privileged", "extrinsic"].isfinite().all()
+
+
+def test_pd_gains_taken_literally_are_table_iis_for_every_robot():
+    for profile, gain in (("default", 150.0), ("literal", 40.0)):
+        env = RidingEnv("spot", num_envs=1, profile=profile, randomization="off", seed=0, num_threads=1)
+        gains = env.engine.fields["actuator_gainprm"][0, env.scene.layout.actuators, 0]
+        assert gains == pytest.approx([gain] * 12, rel=1e-6)
 
 
 def test_unknown_profile_and_reading_list_the_known_ones():

@@ -82,8 +82,9 @@ class ActorBackbone(nn.Module):
         noise_basis (Tensor, optional): orthonormal columns, (A, A), along which the actions are explored
             independently, such as :func:`~torchrl_atr.modules.leg_synergies`; None for the actions themselves.
         products (sequence of pairs of int): for every ``(i, j)`` the network also reads ``tanh(x_i) * x_j`` of the
-            normalised observation x, times :data:`PRODUCT_SCALE`. A board turns by the product of two tilts, so the lean that answers a yaw command
-            changes sign with the speed command: an exclusive-or, of which a gradient at first sees nothing.
+            normalised observation x, times :data:`PRODUCT_SCALE`. A board turns by the product of two tilts, so
+            the lean that answers a yaw command changes sign with the speed command: an exclusive-or, of which a
+            gradient at first sees nothing.
 
     Raises:
         ValueError: for a product of entries that the observation does not have.

@@ -97,7 +97,7 @@ class TrainConfig:
     minibatches: int = 4
     learning_rate: float = 3e-4
     max_learning_rate: float = 2e-3
-    target_kl: float = 0.04
+    target_kl: float = 0.03
     final_kl: float = 0.01
     critic_learning_rate: float = 1e-3
     estimator_learning_rate: float = 1e-3

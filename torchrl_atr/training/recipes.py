@@ -51,7 +51,7 @@ RECIPE_POINTS: dict[str, Point] = {
         "on a board, robots then fall within two seconds.",
         ancestor=1.0,
     ),
-    "relative_std": Point("A21", "As init_std.\nLegs pulling against each other tilt nothing.", ancestor=1.0),
+    "relative_std": Point("A21", "As init_std.\nLegs that pull against each other tilt nothing.", ancestor=1.0),
     "noise_correlation": Point(
         "A21",
         "White noise at 50 Hz averages out before a board has tilted.\nHere a deviation lasts for some ten steps.",
