@@ -18,7 +18,7 @@ the trunk's; legs and joints in our order; where feet, trunk and centre of mass 
 DECK_TOP = 0.15 + 0.05 / 2
 
 
-@pytest.fixture(scope="module", params=ROBOTS.names())
+@pytest.fixture(scope="module", params=FACTS)
 def robot(request):
     return ROBOTS.get(request.param)
 
@@ -33,8 +33,9 @@ def scene(robot):
     return build_scene(robot, get_transporter("single_board", robot))
 
 
-def test_every_robot_has_facts():
-    assert set(FACTS) == set(ROBOTS.names())
+def test_every_robot_we_ship_has_facts():
+    shipped = {name for name in ROBOTS.names() if ROBOTS.get(name).mjcf.stem == name}  # other tests register their own
+    assert shipped == set(FACTS)
 
 
 def test_total_mass_is_table_iv(scene, facts):
