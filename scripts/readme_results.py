@@ -29,7 +29,7 @@ def section(folder: Path) -> str:
     lines += [
         "",
         f"`{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on {hardware['cpus']} "
-        f"cores ({hardware['processor']}), then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh "
+        f"core{'s' * (hardware['cpus'] > 1)} ({hardware['processor']}), then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh "
         f"intrinsics of the training range, proprioception only. Everything is in [{path}]({path}).",
     ]
     return "\n".join(lines)
