@@ -26,10 +26,11 @@ def section(folder: Path) -> str:
         values = ("-" if v is None else style.format(v) for v in (metrics[key], still[key]))
         lines.append(f"| {label} | {' | '.join(values)} |")
     hardware = run["hardware"]
+    cores = f"{hardware['cpus']} core" + "s" * (hardware["cpus"] > 1)
     lines += [
         "",
-        f"`{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on {hardware['cpus']} "
-        f"core{'s' * (hardware['cpus'] > 1)} ({hardware['processor']}), then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh "
+        f"`{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on {cores} "
+        f"({hardware['processor']}), then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh "
         f"intrinsics of the training range, proprioception only. Everything is in [{path}]({path}).",
     ]
     return "\n".join(lines)
