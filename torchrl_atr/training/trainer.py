@@ -86,7 +86,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
     """
     basis = leg_synergies()
     alike, joints = len(basis) // 4, len(basis)
-    speed, yaw_rate = (env.observation_spec["observation"].shape[-1] - 2 + i for i in range(2))  # the command ends o_t
+    size = env.observation_spec["observation"].shape[-1]  # the command ends o_t
     return make_networks(
         env.observation_spec,
         env.action_spec,
@@ -95,7 +95,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         init_std=[config.init_std] * alike + [config.relative_std] * (joints - alike),
         min_std=config.min_std,
         noise_basis=basis,
-        products=[(speed, yaw_rate)] if config.steering_cue else [],
+        products=[(size - 2, size - 1)] if config.steering_cue else [],
         keys=NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None),
     )
 

@@ -32,7 +32,7 @@ group = "G1"
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A Go1 as strangers write it: floor, light, a keyframe, sensors and actuators of its own in another order."""
+    """A Go1 as strangers write it: floor, light, sensors and actuators of its own in another order."""
     text = GO1.mjcf.read_text()
     surroundings = '<light pos="0 0 3"/><geom name="floor" type="plane" size="0 0 1"/><body name="box" pos="9 9 9"/>'
     text = text.replace("<worldbody>", f"<worldbody>{surroundings}", 1)

@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import Registry
@@ -151,82 +152,52 @@ def register_robot(name: str, spec: RobotSpec) -> RobotSpec:
     return ROBOTS.register(name, dataclasses.replace(spec, name=name))
 
 
-def _joints(legs: Sequence[str], pattern: str, parts: Sequence[str]) -> tuple[str, ...]:
-    return tuple(pattern.format(leg, part) for leg in legs for part in parts)
+def _ship(name: str, *, legs: Sequence[str], joint: str, parts: Sequence[str], **facts: Any) -> None:
+    """Registers one of our own robots; ``legs`` and ``parts`` are its maker's names in our order."""
+    spec = RobotSpec(
+        name=name,
+        mjcf=_MODELS / f"{name}.xml",
+        joints=tuple(joint.format(leg, part) for leg in legs for part in parts),
+        feet=tuple(f"{leg}_foot" for leg in legs),
+        action_scale=0.25,
+        **facts,
+    )
+    register_robot(name, spec)
 
 
 # Poses: reading A35. Gains: A13, for the heavy G2 robots scaled with their mass. Heights: where the robot settles.
-register_robot(
-    "a1",
-    RobotSpec(
-        name="a1",
-        mjcf=_MODELS / "a1.xml",
-        trunk="trunk",
-        joints=_joints(LEGS, "{}_{}_joint", ("hip", "thigh", "calf")),
-        feet=tuple(f"{leg}_foot" for leg in LEGS),
-        q0=(-0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 0.8, -1.5, 0.1, 1.0, -1.5),
-        kp=40.0,
-        kd=1.0,
-        torque_limits=(33.5, 33.5, 33.5),
-        action_scale=0.25,
-        standing_height=0.28,
-        min_height=0.14,
-        group="G1",
-    ),
-)
-register_robot(
-    "go1",
-    RobotSpec(
-        name="go1",
-        mjcf=_MODELS / "go1.xml",
-        trunk="trunk",
-        joints=_joints(LEGS, "{}_{}_joint", ("hip", "thigh", "calf")),
-        feet=tuple(f"{leg}_foot" for leg in LEGS),
-        q0=(-0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 0.8, -1.5, 0.1, 1.0, -1.5),
-        kp=40.0,
-        kd=1.0,
-        torque_limits=(23.7, 23.7, 35.55),
-        action_scale=0.25,
-        standing_height=0.30,
-        min_height=0.15,
-        group="G1",
-    ),
-)
-_ANYMAL_LEGS = ("RF", "RH", "LF", "LH")  # hind knees bend the other way
-register_robot(
+_UNITREE: dict[str, Any] = {
+    "trunk": "trunk",
+    "legs": LEGS,
+    "joint": "{}_{}_joint",
+    "parts": ("hip", "thigh", "calf"),
+    "q0": (-0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 0.8, -1.5, 0.1, 1.0, -1.5),
+}
+_SMALL: dict[str, Any] = {"kp": 40.0, "kd": 1.0, "group": "G1"}
+_LARGE: dict[str, Any] = {"kp": 150.0, "kd": 4.5, "group": "G2"}
+_ship("a1", **_UNITREE, **_SMALL, torque_limits=(33.5, 33.5, 33.5), standing_height=0.28, min_height=0.14)
+_ship("go1", **_UNITREE, **_SMALL, torque_limits=(23.7, 23.7, 35.55), standing_height=0.30, min_height=0.15)
+_ship(
     "anymal_c",
-    RobotSpec(
-        name="anymal_c",
-        mjcf=_MODELS / "anymal_c.xml",
-        trunk="base",
-        joints=_joints(_ANYMAL_LEGS, "{}_{}", ("HAA", "HFE", "KFE")),
-        feet=tuple(f"{leg}_foot" for leg in _ANYMAL_LEGS),
-        q0=(0.0, 0.4, -0.8, 0.0, -0.4, 0.8, 0.0, 0.4, -0.8, 0.0, -0.4, 0.8),
-        kp=150.0,
-        kd=4.5,
-        torque_limits=(80.0, 80.0, 80.0),
-        action_scale=0.25,
-        standing_height=0.53,
-        min_height=0.26,
-        group="G2",
-    ),
+    **_LARGE,
+    trunk="base",
+    legs=("RF", "RH", "LF", "LH"),
+    joint="{}_{}",
+    parts=("HAA", "HFE", "KFE"),
+    q0=(0.0, 0.4, -0.8, 0.0, -0.4, 0.8, 0.0, 0.4, -0.8, 0.0, -0.4, 0.8),  # hind knees bend the other way
+    torque_limits=(80.0, 80.0, 80.0),
+    standing_height=0.53,
+    min_height=0.26,
 )
-_SPOT_LEGS = ("fr", "hr", "fl", "hl")
-register_robot(
+_ship(
     "spot",
-    RobotSpec(
-        name="spot",
-        mjcf=_MODELS / "spot.xml",
-        trunk="body",
-        joints=_joints(_SPOT_LEGS, "{}_{}", ("hx", "hy", "kn")),
-        feet=tuple(f"{leg}_foot" for leg in _SPOT_LEGS),
-        q0=(-0.1, 0.9, -1.5, -0.1, 1.1, -1.5, 0.1, 0.9, -1.5, 0.1, 1.1, -1.5),
-        kp=150.0,
-        kd=4.5,
-        torque_limits=(45.0, 45.0, 115.0),
-        action_scale=0.25,
-        standing_height=0.49,
-        min_height=0.24,
-        group="G2",
-    ),
+    **_LARGE,
+    trunk="body",
+    legs=("fr", "hr", "fl", "hl"),
+    joint="{}_{}",
+    parts=("hx", "hy", "kn"),
+    q0=(-0.1, 0.9, -1.5, -0.1, 1.1, -1.5, 0.1, 0.9, -1.5, 0.1, 1.1, -1.5),
+    torque_limits=(45.0, 45.0, 115.0),
+    standing_height=0.49,
+    min_height=0.24,
 )

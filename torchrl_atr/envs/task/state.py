@@ -111,8 +111,10 @@ class StateReader:
         self._joint_qpos = torch.as_tensor(layout.joint_qpos, dtype=torch.long)
         self._joint_dof = torch.as_tensor(layout.joint_dof, dtype=torch.long)
         self._actuators = torch.as_tensor(layout.actuators, dtype=torch.long)
-        design = engine.scene.transporter.design
-        self._driving, self._attitude = torch.tensor(design.driving), torch.tensor(design.attitude)
+        self._tilt_qpos = torch.as_tensor(layout.tilt_qpos, dtype=torch.long)
+        self._tilt_dof = torch.as_tensor(layout.tilt_dof, dtype=torch.long)
+        design = engine.scene.transporter.design  # both from hinge angles: (n, 2) @ (2, 2)
+        self._driving, self._attitude = torch.tensor(design.driving).T, torch.tensor(design.attitude).T
         self._previous = self._velocities(*self._simulation(slice(None)))
 
     def forget(self, rows: Rows = slice(None)) -> None:
@@ -140,17 +142,12 @@ class StateReader:
     def _platform_angular_velocity(self, qpos: Tensor, qvel: Tensor) -> Tensor:
         """Of P, world frame, from its rates: yaw, then pitch, then roll."""
         layout = self.engine.scene.layout
-        yaw, pitch = qpos[:, int(layout.planar_qpos[2])], self._hinges(qpos, layout.tilt_qpos, self._attitude)[:, 0]
-        pitch_rate, roll_rate = self._hinges(qvel, layout.tilt_dof, self._attitude).unbind(-1)
+        yaw, pitch = qpos[:, int(layout.planar_qpos[2])], (qpos[:, self._tilt_qpos] @ self._attitude)[:, 0]
+        pitch_rate, roll_rate = (qvel[:, self._tilt_dof] @ self._attitude).unbind(-1)
         local = torch.stack([torch.cos(pitch) * roll_rate, pitch_rate, -torch.sin(pitch) * roll_rate], -1)
         world = rotate(matrix_from_euler(torch.zeros_like(yaw), torch.zeros_like(yaw), yaw), local)
         world[:, 2] += qvel[:, int(layout.planar_dof[2])]
         return world
-
-    @staticmethod
-    def _hinges(values: Tensor, addresses: NDArray[np.int64], combination: Tensor) -> Tensor:
-        """Combinations (rows of ``combination``) of the two hinges' angles or rates, (n, 2)."""
-        return values[:, torch.as_tensor(addresses, dtype=torch.long)] @ combination.T
 
     def read(self, rows: Rows = slice(None)) -> RidingState:
         """The state of ``rows`` now; accelerations are differences to their previous reading."""
@@ -161,7 +158,8 @@ class StateReader:
         rates = {name: (value - getattr(self._previous, name)[rows]) / CONTROL_DT for name, value in vars(now).items()}
         self._remember(rows, now)
         root, planar = layout.root_qpos, int(layout.planar_qpos[0])
-        pitch, roll = self._hinges(qpos, layout.tilt_qpos, self._attitude).unbind(-1)
+        hinges = qpos[:, self._tilt_qpos]
+        pitch, roll = (hinges @ self._attitude).unbind(-1)
         yaw = qpos[:, planar + 2]
         rotation = matrix_from_quaternion(qpos[:, root + 3 : root + 7])
         # contact sensors give the force on the deck; the feet feel the opposite
@@ -183,7 +181,7 @@ class StateReader:
             platform_acceleration=rates["platform"],
             platform_rotation=matrix_from_euler(roll, pitch, yaw),
             platform_euler=torch.stack([roll, pitch, yaw], -1),
-            driving_tilt=self._hinges(qpos, layout.tilt_qpos, self._driving),
+            driving_tilt=hinges @ self._driving,
             platform_angular_velocity=now.platform_angular,
             platform_angular_acceleration=rates["platform_angular"],
             speeds=_float(engine.speeds[rows]),
