@@ -32,6 +32,8 @@ _SETTINGS = (
     "max_minutes",
     "seed",
     "device",
+    "collector",
+    "workers",
 )
 """Settings that have an option of their own."""
 _RESUMABLE = ("total_frames", "max_minutes")
@@ -66,6 +68,8 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-minutes", type=float, help="wall clock, earlier sessions of the run included")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--device")
+    parser.add_argument("--collector", help="where robots are simulated: direct, process, ray or distributed")
+    parser.add_argument("--workers", type=int, help="processes that share robots and CPUs, unless direct")
     parser.add_argument("--config", type=Path, metavar="FILE", help=".toml or .json with any setting")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--output", type=Path, metavar="RUN", help=f"the run folder; default: {_DEFAULT_RUN}")
@@ -92,23 +96,22 @@ def _add_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0)
 
 
-def train(arguments: argparse.Namespace) -> None:
-    """``torchrl-atr train``."""
+def train(arguments: argparse.Namespace) -> int:
+    """``torchrl-atr train``; a run that a signal stopped ends as shells expect, with 128 and the signal's number."""
     from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
     from torchrl_atr.training.checkpoint import NAME
 
     if arguments.resume is not None:
-        _resume(arguments)
-        return
+        return _resume(arguments)
     output = arguments.output or _DEFAULT_RUN
     if (output / NAME).exists() and not arguments.overwrite:
         raise ConfigError(f"{output} holds a run; give another --output, --resume {output}, or --overwrite")
     values = read_config(arguments.config) if arguments.config else {}
     values |= {name: getattr(arguments, name) for name in _SETTINGS if getattr(arguments, name) is not None}
-    Trainer(make_config(values, arguments.overrides), output).train()
+    return _exit_code(Trainer(make_config(values, arguments.overrides), output).train())
 
 
-def _resume(arguments: argparse.Namespace) -> None:
+def _resume(arguments: argparse.Namespace) -> int:
     from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config
 
     fixed = [name for name in (*_SETTINGS, "config", "output") if getattr(arguments, name) is not None]
@@ -118,7 +121,11 @@ def _resume(arguments: argparse.Namespace) -> None:
         raise ConfigError(f"{names}: a resumed run keeps its settings, --total-frames and --max-minutes excepted")
     state = load_checkpoint(arguments.resume)
     changed = {name: getattr(arguments, name) for name in _RESUMABLE if getattr(arguments, name) is not None}
-    Trainer(make_config({**state["config"], **changed}), arguments.resume, state).train()
+    return _exit_code(Trainer(make_config({**state["config"], **changed}), arguments.resume, state).train())
+
+
+def _exit_code(signal: int | None) -> int:
+    return 0 if signal is None else 128 + signal
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
@@ -204,14 +211,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = build_parser().parse_args(argv)
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported, by the command
     try:
-        _COMMANDS[arguments.command](arguments)
+        return _COMMANDS[arguments.command](arguments) or 0
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         return 130
     except (UserError, OSError, ImportError) as error:
         sys.stderr.write(f"torchrl-atr {arguments.command}: {error}\n")
         return 2
-    return 0
 
 
 if __name__ == "__main__":

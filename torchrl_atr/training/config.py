@@ -17,7 +17,7 @@ from torchrl_atr.envs.models.robot_file import is_robot_file
 from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.modules import SOURCES, Source
 
-COLLECTORS = ("direct", "process")
+COLLECTORS = ("direct", "process", "ray", "distributed")
 """Engines that collect batches."""
 
 
@@ -42,7 +42,8 @@ class TrainConfig:
         seed: of everything.
         device: of the learner; physics stays on the CPU.
         num_threads: physics threads; 0 for the CPUs this process may use.
-        collector: where the robots are simulated: ``direct`` in this process, ``process`` in ``workers`` others.
+        collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
+            engine ``process``, ``ray`` or ``distributed``.
         workers: processes that share the robots and the CPUs.
         gamma, gae_lambda: discount and GAE's λ.
         epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
