@@ -1,8 +1,8 @@
 """Every robot on every transporter: trained for some minutes, then compared with doing nothing.
 
 ``python -m benchmarks.every_pair`` trains what has no ``comparison.json`` yet and goes on from checkpoints: it can be
-stopped and started again, and ``--pairs`` shares the work. The figure and the table that it writes last are of all pairs
-that are there.
+stopped and started again, and ``--pairs`` shares the work. The figure and the table that it writes last are of all
+pairs that are there.
 """
 
 from __future__ import annotations
