@@ -65,6 +65,15 @@ def test_a_table_and_a_figure_of_the_pairs_that_are_there(tmp_path):
     assert (tmp_path / "learning_curves.png").stat().st_size > 5000
 
 
+@pytest.mark.parametrize(
+    ("survival", "still", "beats"), [(0.9, 0.8, True), (0.9, 0.9, False), (1.0, 1.0, True), (0.9, 1.0, False)]
+)
+def test_a_tie_counts_only_where_nobody_falls(survival, still, beats):
+    ours, zero = {"mean_return": 2.0, "survival": survival}, {"mean_return": 1.0, "survival": still}
+    assert every_pair._beats({"deployed": ours, "zero_action": zero}) is beats
+    assert not every_pair._beats({"deployed": zero, "zero_action": ours})
+
+
 def test_it_trains_compares_and_does_not_train_again(tmp_path, monkeypatch):
     tiny = {"num_envs": 4, "rollout_steps": 4, "minibatches": 1, "num_threads": 1, "total_frames": 32}
     make_config = every_pair.make_config
