@@ -198,8 +198,8 @@ def table(records: dict[str, dict[str, Any]]) -> str:
         f"{setup['robots']} robots, {setup['seconds']:g} s from rest without pushes, intrinsics of Table II's training "
         f"range, commands drawn uniformly from |c_v| <= {speed:g} m/s and |c_ω| <= {yaw_rate:g} rad/s. The policy is "
         "the deployed one: it reads proprioception only. The zero action has the same robots, initial states and "
-        "commands. A return is the sum of an episode's rewards up to the fall, if there is one. Where nobody falls without "
-        "acting either, a tie at 100% counts.",
+        "commands. A return is the sum of an episode's rewards up to the fall, if there is one. Where "
+        "nobody falls without acting either, a tie at 100% counts.",
         "",
         "| robot | transporter | minutes | robot steps | return | zero action's | still up | zero action's |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
