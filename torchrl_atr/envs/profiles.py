@@ -151,7 +151,7 @@ class Readings:
         False,
         "A19",
         "The history is printed as o_{t-1} ... o_{t-H}, so estimates lag by one step, 20 ms.\n"
-        "DWBC and EP leave o_t out as well; other code of the kind includes it.",
+        "The ancestors leave o_t out as well; with it, estimates are of the present.",
     )
     contacting_polygon: bool = _reading(
         False,
