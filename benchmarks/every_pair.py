@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -231,7 +230,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--pairs", nargs="+", choices=PAIRS, default=PAIRS, metavar="ROBOT:TRANSPORTER")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(argv)
-    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
     try:
         configs = {}
         for pair in arguments.pairs:
