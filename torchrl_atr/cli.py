@@ -81,6 +81,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--output", type=Path, help="where the report goes; default: the run folder")
+    parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
     parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
     parser.add_argument("--max-speed", type=float, default=2.0, help="m/s")
     parser.add_argument("--max-yaw-rate", type=float, default=1.0, help="rad/s")
@@ -91,6 +92,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
 
 def _add_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path)
+    parser.add_argument("--transporter", help="ride another one than it was trained on")
     parser.add_argument("--video", type=Path, help="write an .mp4 or .gif instead of opening a viewer")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--seed", type=int, default=0)
@@ -135,11 +137,13 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import command_grid, evaluate_tracking, figures, tracking_metrics, write_report
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
-    config, env, networks, state = load_run(arguments.run, num_envs=1)
+    output = _report_folder(arguments)
+    deck = _deck(arguments)
+    config, env, networks, state = load_run(arguments.run, num_envs=1, **deck)
     env.close()
     result = evaluate_tracking(
         networks.deployed_policy(),
-        partial(make_env, config, randomization=arguments.randomization, **DEPLOYED),
+        partial(make_env, config, randomization=arguments.randomization, **deck, **DEPLOYED),
         command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
         robots_per_command=arguments.robots_per_command,
         seed=arguments.seed,
@@ -147,9 +151,12 @@ def evaluate(arguments: argparse.Namespace) -> None:
         progress=_show_steps,
     )
     metrics = tracking_metrics(result)
-    metrics["evaluation"] = {"seed": arguments.seed, "randomization": arguments.randomization}
+    metrics["evaluation"] = {
+        "transporter": env.base_env.scene.transporter.name,
+        "seed": arguments.seed,
+        "randomization": arguments.randomization,
+    }
     metrics["run"] = state["provenance"]
-    output = arguments.output or arguments.run
     write_report(result, metrics, output)
     if (arguments.run / "progress.csv").is_file():
         figures.plot_learning_curves(arguments.run / "progress.csv", output / "learning_curves.png")
@@ -157,6 +164,24 @@ def evaluate(arguments: argparse.Namespace) -> None:
     figures.plot_curriculum(weights, env.transform[0].grid.bounds, output / "curriculum.png")
     _print_figures(metrics)
     sys.stdout.write(f"report in {output}\n")
+
+
+def _deck(arguments: argparse.Namespace) -> dict[str, str]:
+    """The env argument that puts the run's robot on another transporter, if one is asked for."""
+    return {} if arguments.transporter is None else {"transporter": arguments.transporter}
+
+
+def _report_folder(arguments: argparse.Namespace) -> Path:
+    """Where the report goes: a run's own is of the transporter that it was trained on."""
+    from torchrl_atr.training import ConfigError
+
+    output = arguments.output or arguments.run
+    if arguments.transporter is not None and output.resolve() == arguments.run.resolve():
+        raise ConfigError(
+            f"--transporter {arguments.transporter}: the report in {arguments.run} is of the transporter that it was "
+            "trained on; give another folder with --output"
+        )
+    return output
 
 
 def _show_steps(done: int, total: int) -> None:
@@ -179,7 +204,7 @@ def play(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import play_viewer, record_video
     from torchrl_atr.training import DEPLOYED, load_run
 
-    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, **DEPLOYED)
+    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, **_deck(arguments), **DEPLOYED)
     policy = networks.deployed_policy()
     if arguments.video is None:
         play_viewer(policy, env)

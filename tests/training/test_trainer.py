@@ -73,6 +73,15 @@ def test_the_first_importance_ratio_is_one(tmp_path, source):
     assert abs(metrics[0]["max_ratio"] - 1) < 1e-4
 
 
+def test_a_critic_without_privileges_trains_and_is_restored(tmp_path):
+    config = make_config({**TINY, "privileged_critic": False, "total_frames": 64})
+    metrics = []
+    Trainer(config, tmp_path / "run").train(metrics.append)
+    assert metrics[0]["loss_critic"] > 0
+    _, _, networks, _ = load_run(tmp_path / "run")
+    assert networks.critic_module.in_keys == ["observation"]
+
+
 def test_an_estimator_from_outside_trains(tmp_path):
     if "outsider" not in available_estimators():
         mlp = get_estimator("mlp")

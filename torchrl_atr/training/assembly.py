@@ -80,6 +80,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         env.action_spec,
         estimator=config.estimator,
         critic_cells=config.critic_cells,
+        privileged_critic=config.privileged_critic,
         init_std=[config.init_std] * alike + [config.relative_std] * (joints - alike),
         min_std=config.min_std,
         noise_basis=basis,

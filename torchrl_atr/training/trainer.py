@@ -91,7 +91,7 @@ class Trainer:
         policy = correlate(policy, config.noise_correlation)
         collection = Collection(config, self.env, partial(make_env, config), policy)
         if self._state is not None:
-            collection.load_state_dict(self._state["collection"])
+            collection.load_state_dict(self._state.get("collection", {}))
             torch.set_rng_state(self._state["rng"])  # last: building all this drew from it
         return collection
 

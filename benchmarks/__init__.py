@@ -1,0 +1,1 @@
+"""Measurements of the library: speed, learning, robustness; run from a clone."""
