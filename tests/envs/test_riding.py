@@ -122,6 +122,21 @@ def test_the_terminal_observation_is_the_true_one():
     assert stepped["next", "reward_terms", "termination"].flatten().tolist() == pytest.approx([0.0, -0.2])
 
 
+@pytest.mark.parametrize("retry", [0.0, 1.0])
+def test_a_robot_that_fell_tries_again_with_its_intrinsics(retry):
+    env = make(3, retry=retry)
+    td = env.reset()
+    before = td["privileged", "intrinsic"].clone()
+    env.engine.qpos[1, env.scene.layout.root_qpos] += 1.0  # off the deck
+    td["action"] = torch.zeros(3, 12)
+    stepped, following = env.step_and_maybe_reset(td)
+    assert stepped["next", "terminated"].flatten().tolist() == [False, True, False]
+    kept = (following["privileged", "intrinsic"] == before).all(-1)
+    assert kept.tolist() == [True, retry == 1.0, True]
+    fresh = env.reset()["privileged", "intrinsic"]  # nobody has fallen since
+    assert not (fresh == before).all(-1).any()
+
+
 def test_same_seed_same_episodes_other_seed_others():
     def episodes(seed: int) -> TensorDictBase:
         env, generator = make(3, seed=seed), torch.Generator().manual_seed(0)

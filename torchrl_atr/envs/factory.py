@@ -27,6 +27,7 @@ def make_riding_env(
     num_threads: int | None = None,
     pushes: bool = True,
     moving_start: float = 0.0,
+    retry: float = 0.0,
     seed: int | None = None,
     history_length: int = 10,
     max_steps: int = 1000,
@@ -47,6 +48,7 @@ def make_riding_env(
         num_threads: physics threads; None for the CPUs this process may use.
         pushes: whether robot and platform are pushed every 3 s.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
+        retry: share of the falls after which the same robot tries again with its intrinsics (for training).
         seed: of env and curriculum alike, since ``env.set_seed`` does not reach transforms.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
@@ -73,6 +75,7 @@ def make_riding_env(
         num_threads=num_threads,
         pushes=pushes,
         moving_start=moving_start,
+        retry=retry,
         seed=seed,
     )
     dt = CONTROL_DT if env.readings.rewards_times_dt else 1.0

@@ -39,6 +39,8 @@ class RidingEnv(EnvBase):
         num_threads: physics threads; None for the CPUs this process may use.
         pushes: whether robot and platform are pushed every 3 s.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
+        retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again (for
+            training).
         seed: of intrinsics, initial states and pushes.
 
     Raises:
@@ -72,6 +74,7 @@ class RidingEnv(EnvBase):
         num_threads: int | None = None,
         pushes: bool = True,
         moving_start: float = 0.0,
+        retry: float = 0.0,
         seed: int | None = None,
     ) -> None:
         if not isinstance(num_envs, int) or num_envs < 1:
@@ -86,7 +89,7 @@ class RidingEnv(EnvBase):
         else:
             self.set_seed(seed)
         engine = _make_engine(physics, scene, readings, num_envs, num_threads)
-        self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start)
+        self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start, retry)
         self._emitted = self.task.observe(torch.zeros(num_envs, len(COMMAND_FEATURES)))
         self._make_specs()
 

@@ -38,6 +38,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "num_threads": config.num_threads or None,
         "seed": config.seed,
         "moving_start": config.moving_start,
+        "retry": config.retry,
         "history_length": config.history_length,
         "max_steps": round(config.episode_seconds / CONTROL_DT),
         "window": round(config.command_seconds / CONTROL_DT),

@@ -70,6 +70,7 @@ class TrainConfig:
         history_length: H.
         critic_cells: hidden widths of the critic; the actor's are Table I's.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
+        retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
@@ -124,6 +125,7 @@ class TrainConfig:
     history_length: int = 10
     critic_cells: tuple[int, ...] = (256, 128, 64)
     moving_start: float = 0.8
+    retry: float = 0.5
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
     tracking_threshold: float = 0.6
@@ -219,6 +221,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "student_fraction": (0, 1),
     "history_length": (1, 1000),
     "moving_start": (0, 1),
+    "retry": (0, 1),
     "episode_seconds": (0.1, 1e6),
     "command_seconds": (0.1, 1e6),
     "tracking_threshold": (0.01, 1),

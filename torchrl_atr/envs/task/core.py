@@ -52,16 +52,18 @@ class RidingTask:
         pushes: whether robot and platform are pushed every 3 s.
         rng: source of intrinsics, initial states and pushes.
         moving_start: share of the episodes that start at part of the commanded speeds.
+        retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again.
 
     Attributes:
         x_int: scaled intrinsic parameters, (N, 34).
         previous_action: a_{t-1}, (N, 12), zero at the start of an episode.
         odometry: body velocity by dead reckoning since the start of the episode, body frame, m/s, (N, 3).
         steps: control steps since the start of the episode, (N,).
+        fell: whether the last control step ended the episode, (N,) bool.
         num_diverged: simulations that have diverged so far.
 
     Raises:
-        ValueError: for an unknown ``randomization``.
+        ValueError: for an unknown ``randomization``, or a share outside [0, 1].
     """
 
     def __init__(
@@ -72,10 +74,12 @@ class RidingTask:
         pushes: bool,
         rng: torch.Generator,
         moving_start: float = 0.0,
+        retry: float = 0.0,
     ) -> None:
-        if not 0.0 <= moving_start <= 1.0:
-            raise ValueError(f"moving_start={moving_start!r} is a share; choose a number in [0, 1]")
-        self.moving_start = moving_start
+        for name, share in {"moving_start": moving_start, "retry": retry}.items():
+            if not 0.0 <= share <= 1.0:
+                raise ValueError(f"{name}={share!r} is a share; choose a number in [0, 1]")
+        self.moving_start, self.retry = moving_start, retry
         self.engine, self.scene, self.readings = engine, engine.scene, readings
         self.randomization, self.pushes, self.rng = randomization, pushes, rng
         self.num_diverged = 0
@@ -85,6 +89,7 @@ class RidingTask:
         self._reader = StateReader(engine)
         self._push_every = round(disturbances.PUSH_INTERVAL / CONTROL_DT)
         self.steps = torch.zeros(n, dtype=torch.long)
+        self.fell = torch.zeros(n, dtype=torch.bool)
         self.previous_action = torch.zeros(n, self.joints)
         self.odometry = torch.zeros(n, 3)
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
@@ -93,11 +98,19 @@ class RidingTask:
     def begin(self, rows: NDArray[np.int64], command: Tensor | None = None) -> None:
         """Starts episodes of ``rows`` with fresh intrinsics and initial states; leaves the others alone.
 
+        A robot that is hard to keep up has short episodes: drawn anew each time, such robots would hardly be seen. With
+        ``retry`` some of those that fell keep their intrinsics.
+
         Args:
             rows: (n,) integers.
             command: (c_v, c_ω) that those episodes start with, (n, 2); read by moving starts.
         """
         x_int = intrinsics.sample_intrinsics(len(rows), self.joints, self.randomization, self.rng)
+        if self.retry > 0.0:
+            again = self.fell[rows] & (torch.rand(len(rows), generator=self.rng) < self.retry)
+            x_int = torch.where(again.unsqueeze(-1), self.x_int[rows], x_int)
+        self.fell = self.fell.clone()
+        self.fell[rows] = False
         speeds = None
         if self.moving_start > 0.0 and command is not None:
             speeds = disturbances.initial_speeds(command.double().numpy(), self.moving_start, self.rng)
@@ -162,7 +175,7 @@ class RidingTask:
         )
         self.previous_action = self._action
         self.odometry = observations.dead_reckoning(self.odometry, state)
-        self.steps = self.steps + 1
+        self.steps, self.fell = self.steps + 1, terminated
         return Outcome(state, reward, terms, terminated)
 
     def observe(self, command: Tensor, state: RidingState | None = None, rows: Rows = slice(None)) -> dict[Any, Tensor]:
@@ -202,6 +215,7 @@ class RidingTask:
             "previous_action": self.previous_action,
             "odometry": self.odometry,
             "steps": self.steps,
+            "fell": self.fell,
         }
         simulation = {name: torch.from_numpy(value) for name, value in self.engine.get_state().items()}
         return {**simulation, **{name: value.clone() for name, value in own.items()}}
@@ -221,6 +235,7 @@ class RidingTask:
                 raise ValueError(f"state entry {name!r} has shape {got}; this env needs {needed}")
         self.x_int, self.previous_action = state["x_int"].clone(), state["previous_action"].clone()
         self.odometry, self.steps = state["odometry"].clone(), state["steps"].clone()
+        self.fell = state["fell"].clone()
         arrays = {name: value.numpy() for name, value in state.items()}
         parameters = intrinsics.physical_parameters(self.x_int, self.scene, self.readings)
         self.engine.reset(np.arange(self.engine.num_envs), arrays["qpos"], arrays["qvel"], parameters)
