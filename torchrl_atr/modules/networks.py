@@ -168,8 +168,12 @@ class RidingNetworks(nn.Module):
             (self.extrinsic_estimator.side_norm, keys.odometry),
             (self.critic.outlook_norm, keys.outlook),
         ):
-            if norm is not None:
-                norm.update(tensordict.get(key))
+            if norm is None:
+                continue
+            value = tensordict.get(key, None)
+            if value is None:
+                raise KeyError(f"the batch lacks {key!r}, which is normalised; keep it, or rename it in NetworkKeys")
+            norm.update(value)
 
     def policy_parameters(self) -> Iterator[nn.Parameter]:
         """Iterate over what PPO and the ROA term train: encoder, actor and critic."""

@@ -5,6 +5,7 @@ from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.config_io import make_config, read_config
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.recipes import RECIPE_POINTS
+from torchrl_atr.training.restoring import run_config
 from torchrl_atr.training.trainer import DEPLOYED, Trainer, load_run, make_env, make_run_networks
 
 __all__ = [
@@ -21,5 +22,6 @@ __all__ = [
     "make_env",
     "make_run_networks",
     "read_config",
+    "run_config",
     "save_checkpoint",
 ]

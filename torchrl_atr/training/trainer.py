@@ -22,14 +22,14 @@ from torchrl_atr.envs.task.rewards import MAX_TRACKING
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, get_estimator, leg_synergies, make_networks
-from torchrl_atr.training.checkpoint import NAME, CheckpointError, load_checkpoint, save_checkpoint
+from torchrl_atr.training.checkpoint import NAME, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import Collection
 from torchrl_atr.training.config import ConfigError, TrainConfig
-from torchrl_atr.training.config_io import make_config
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
+from torchrl_atr.training.restoring import load_networks, run_config
 
 DEPLOYED: dict[str, Any] = {"moving_start": 0.0, "pushes": False, "runaway_margin": None, "max_steps": 2**31 - 1}
 """Env arguments without what belongs to training only: a ride from rest that nothing but a fall ends."""
@@ -69,13 +69,18 @@ def import_modules(names: Sequence[str]) -> None:
     Raises:
         ConfigError: if one cannot be imported.
     """
+    for name in names:
+        if name.endswith(".py") or not all(name.split(".")):
+            raise ConfigError(f"cannot import {name!r}; give a module's name, such as my_module for my_module.py")
     if names and os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())
     for name in names:
         try:
             importlib.import_module(name)
-        except ImportError as error:
-            raise ConfigError(f"cannot import {name!r} ({error}); run where it can be found") from error
+        except (ImportError, SyntaxError) as error:
+            raise ConfigError(
+                f"cannot import {name!r} ({error}); run where it can be found, and imports alone"
+            ) from error
 
 
 def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
@@ -108,17 +113,14 @@ def load_run(run: Path, **env_overrides: Any) -> tuple[TrainConfig, TransformedE
         **env_overrides: see :func:`make_env`.
 
     Raises:
-        CheckpointError: if there is no readable checkpoint.
+        CheckpointError: if there is no readable checkpoint, or it does not fit this code.
     """
     state = load_checkpoint(run)
-    config = make_config(state["config"])
+    config = run_config(state, run, device="cpu")  # wherever it was trained
     import_modules(config.imports)
     env = make_env(config, **env_overrides)
     networks = make_run_networks(config, env)
-    try:
-        networks.load_state_dict(state["learner"]["networks"])
-    except RuntimeError as error:
-        raise CheckpointError(f"the networks in {run} do not fit this code's: {error}") from error
+    load_networks(networks, state["learner"]["networks"], run)
     return config, env, networks, state
 
 
@@ -235,6 +237,7 @@ class Trainer:
         )
 
     def _restore(self, state: dict[str, Any]) -> None:
+        load_networks(self.learner.networks, state["learner"]["networks"], self.run)
         self.learner.load_state_dict(state["learner"])
         self.curriculum.load_weights(state["curriculum"]["weights"])
         self.curriculum.set_extra_state({k: v for k, v in state["curriculum"].items() if k != "weights"})

@@ -8,8 +8,8 @@ from typing import Any
 
 import mujoco
 
+from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
-from torchrl_atr.envs.models.robot_file import nearest
 
 _IDENTITY = ("classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata")
 """What an element of an ``MjSpec`` is rather than what it is set to; some cannot even be read on a default."""
