@@ -39,7 +39,7 @@ def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         (12, 12.14)
     """
     if not robot.mjcf.is_file():
-        raise robot.error(f"there is no MJCF file at {robot.mjcf}")
+        raise robot.error(f"there is no MJCF file at {robot.mjcf}; check mjcf")
     try:
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
         for folder in ("meshdir", "texturedir"):  # absolute: the scene may be saved anywhere
