@@ -49,6 +49,13 @@ def _path(text: str) -> Path:
     return Path(text)
 
 
+def _run(text: str) -> Path:
+    path = _path(text)
+    if path.is_file():
+        raise argparse.ArgumentTypeError(f"{path} is a file; give the folder of a run, such as {path.parent}")
+    return path
+
+
 def _number(kind: Callable[[str], float], low: float, high: float) -> Callable[[str], float]:
     """A reader of numbers in [low, high] for argparse, which says which option is wrong."""
 
@@ -112,11 +119,11 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--output", type=_path, metavar="RUN", help=f"the run folder; default: {_DEFAULT_RUN}")
     parser.add_argument("--overwrite", action="store_const", const=True, help="replace a run in that folder")
-    parser.add_argument("--resume", type=_path, metavar="RUN", help="go on from this run's checkpoint")
+    parser.add_argument("--resume", type=_run, metavar="RUN", help="go on from this run's checkpoint")
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", type=_path)
+    parser.add_argument("run", type=_run)
     parser.add_argument("--seed", type=_seed, default=0)
     parser.add_argument("--output", type=_path, help="where the report goes; default: the run folder")
     parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
@@ -128,7 +135,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_play(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", type=_path)
+    parser.add_argument("run", type=_run)
     parser.add_argument("--video", type=_path, help="write an .mp4 or .gif instead of opening a viewer")
     parser.add_argument("--seconds", type=_number(float, 0.1, 3600), default=20.0, help="of the video")
     parser.add_argument("--seed", type=_seed, default=0)
@@ -241,7 +248,11 @@ def write_model(arguments: argparse.Namespace) -> None:
 
 
 def _list(arguments: argparse.Namespace) -> None:
-    sys.stdout.writelines(f"{line}\n" for line in LISTINGS[arguments.what]())
+    try:
+        sys.stdout.writelines(f"{line}\n" for line in LISTINGS[arguments.what]())
+        sys.stdout.flush()
+    except BrokenPipeError:  # `| head` has read enough; nor may the interpreter's own flush complain
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 _COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play, "model": write_model, "list": _list}
@@ -249,12 +260,13 @@ _COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play,
 
 def _refuse(arguments: argparse.Namespace, text: str) -> None:
     """Exits with code 2 for an argument that the command does not have; a setting may go by ``--set``."""
-    name = text.partition("=")[0]
-    hint = nearest(name, re.findall(r"--[a-z-]+", arguments.parser.format_usage()))
-    if arguments.command == "train":
+    name = text.partition("=")[0].lstrip("-")
+    options = re.findall(r"--[a-z-]+", arguments.parser.format_usage())
+    hint = nearest(f"--{name}", options, otherwise=f"see torchrl-atr {arguments.command} --help")
+    if arguments.command == "train" and f"--{name}" not in options:
         from torchrl_atr.training import TrainConfig
 
-        setting = name.lstrip("-").replace("-", "_")
+        setting = name.replace("-", "_")
         if setting in (field.name for field in dataclasses.fields(TrainConfig)):
             hint = f"write it as --set {setting}=VALUE"
     arguments.parser.error(f"unknown argument {text!r}; {hint}")

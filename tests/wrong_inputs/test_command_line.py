@@ -16,6 +16,8 @@ import pytest
         ("list robot", "'robot'", "robots"),
         ("train --rbot a1", "'--rbot'", "did you mean '--robot'?"),
         ("train --gamma 0.9", "'--gamma'", "--set gamma=VALUE"),
+        ("train -robot a1", "'-robot'", "did you mean '--robot'?"),
+        ("evaluate RUN --verbose", "'--verbose'", "see torchrl-atr evaluate --help"),
         ("train --robot A1", "unknown robot 'A1'", "did you mean 'a1'?"),
         ("train --robot a1.xml", "unknown robot 'a1.xml'", "a .toml file that describes one"),
         ("train --transporter singleboard", "'singleboard'", "did you mean 'single_board'?"),

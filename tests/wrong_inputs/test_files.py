@@ -45,7 +45,8 @@ def folder(tmp_path):
         ("model a1 single_board --output HERE/scene.xml", "scene.xml: not a file", "choose another path"),
         ("model a1 single_board --output HERE/note.txt/a1.xml", "note.txt: File exists", "choose another path"),
         ("play RUN --video HERE/note.txt/ride.mp4", "note.txt: File exists", "choose another path"),
-        ("train --resume HERE/note.txt", "note.txt cannot be read", "restore the file"),
+        ("train --resume HERE/note.txt", "note.txt is a file", "give the folder of a run"),
+        ("evaluate RUN/checkpoint.pt", "checkpoint.pt is a file", "give the folder of a run"),
     ],
 )
 def test_what_is_in_the_way_is_named(refused, folder, monkeypatch, untouched_run, arguments, culprit, remedy):

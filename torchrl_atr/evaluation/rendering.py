@@ -7,6 +7,7 @@ import ctypes.util
 import importlib
 import os
 import sys
+import warnings
 from types import TracebackType
 from typing import Any
 
@@ -52,9 +53,11 @@ def _make_contexts(model: mujoco.MjModel, size: tuple[int, int]) -> tuple[Any, m
     # not mujoco.Renderer: its backend is chosen when mujoco is first imported, too early for a default here
     name = gl_backend()
     try:
-        context = importlib.import_module(_BACKENDS[name]).GLContext(*size)
-        context.make_current()
-        return context, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # glfw warns of what the error says
+            context = importlib.import_module(_BACKENDS[name]).GLContext(*size)
+            context.make_current()
+            return context, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
     except Exception as error:  # PyOpenGL raises whatever went wrong: AttributeError, ImportError, GLError, ...
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DisplayError(_NO_GL.format(name=name, reason=reason)) from error
