@@ -21,6 +21,7 @@ _REMEDIES = {
     errno.EEXIST: _AWAY,
     errno.ENOTDIR: _AWAY,
     errno.EISDIR: _AWAY,
+    errno.EFBIG: "raise the limit of file sizes (ulimit -f)",
     errno.ENAMETOOLONG: "choose a shorter name",
 }
 

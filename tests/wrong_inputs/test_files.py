@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 
 import pytest
 
+from torchrl_atr._files import explain
 from torchrl_atr.cli import main
-from torchrl_atr.training import load_checkpoint
+from torchrl_atr.training import load_checkpoint, save_checkpoint
 
 GRID = ["--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
 
@@ -101,6 +103,22 @@ def test_a_disk_that_fills_up_leaves_the_last_checkpoint(refused, tmp_path, monk
     assert not [file for file in run.iterdir() if file.name.startswith(".")]
     assert main(["train", "--resume", str(run)]) == 0
     assert load_checkpoint(run)["frames"] == 8
+
+
+def test_a_write_that_stops_halfway_leaves_the_last_checkpoint(tmp_path, untouched_run):
+    path = tmp_path / "checkpoint.pt"
+    state = load_checkpoint(untouched_run)
+    save_checkpoint(path, {**state, "frames": 1})
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with pytest.raises(OSError, match="File too large") as caught:
+            save_checkpoint(path, {**state, "frames": 2})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert explain(caught.value) == f"{path}: File too large; raise the limit of file sizes (ulimit -f)"
+    assert load_checkpoint(path)["frames"] == 1
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_a_log_that_a_kill_cut_short_is_no_hindrance(tmp_path, tiny):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pickle
 import zipfile
@@ -27,10 +28,15 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     Args:
         path: of the checkpoint.
         state: nested dicts of tensors, numbers and strings.
+
+    Raises:
+        OSError: if it cannot be written; names ``path``.
     """
+    buffer = io.BytesIO()  # a full disk under torch.save is a RuntimeError about positions
+    torch.save({"version": VERSION, **state}, buffer)
     with atomic(path) as temporary:
         with temporary.open("wb") as file:
-            torch.save({"version": VERSION, **state}, file)
+            file.write(buffer.getbuffer())
             file.flush()
             os.fsync(file.fileno())
         load_checkpoint(temporary)
