@@ -5,3 +5,7 @@ from __future__ import annotations
 
 class UserError(Exception):
     """Something the user gave is wrong; the message names it and says what to do."""
+
+
+class InputError(UserError, ValueError):
+    """An argument with an impossible value, where no narrower error says more."""

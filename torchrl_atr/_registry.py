@@ -2,18 +2,51 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from typing import Generic, TypeVar
 
-from torchrl_atr._errors import UserError
+from torchrl_atr._errors import InputError, UserError
 
 T = TypeVar("T")
 
 
 class UnknownNameError(UserError, KeyError, ValueError):
-    """A name that a registry does not hold; the message lists those it does."""
+    """A name that nothing has; the message lists those there are."""
 
     def __str__(self) -> str:
         return str(self.args[0])
+
+
+def unknown(kind: str, name: object, known: Iterable[str], hint: str = "") -> UnknownNameError:
+    """The error for a name that is none of ``known``.
+
+    Example:
+        >>> print(unknown("robot", "A1", ["a1", "go1"]))
+        unknown robot 'A1'; did you mean 'a1'? known: a1, go1
+    """
+    names = list(known)
+    guess = nearest(str(name), names, otherwise="")
+    listed = f"known: {', '.join(names)}" + (f"; {hint}" if hint else "")
+    return UnknownNameError(
+        f"unknown {kind} {name!r}; {guess} {listed}" if guess else f"unknown {kind} {name!r}; {listed}"
+    )
+
+
+def nearest(name: str, known: Iterable[str], otherwise: str | None = None) -> str:
+    """What to say to someone who asked for ``name``: the most similar of ``known``, else ``otherwise``, else all.
+
+    Example:
+        >>> nearest("jionts", ["joints", "feet"])
+        "did you mean 'joints'?"
+        >>> nearest("wings", ["joints", "feet"])
+        'there are joints, feet'
+    """
+    names = {entry.lower(): entry for entry in known}
+    close = difflib.get_close_matches(name.lower(), names, n=1)
+    if close:
+        return f"did you mean {names[close[0]]!r}?"
+    return f"there are {', '.join(names.values()) or 'none'}" if otherwise is None else otherwise
 
 
 class Registry(Generic[T]):
@@ -21,6 +54,7 @@ class Registry(Generic[T]):
 
     Args:
         kind: what the entries are, for messages (``"robot"``).
+        hint: what else someone can do who asks for an unknown one.
 
     Example:
         >>> colours = Registry("colour")
@@ -29,18 +63,18 @@ class Registry(Generic[T]):
         ('red',)
     """
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    def __init__(self, kind: str, hint: str = "") -> None:
+        self.kind, self.hint = kind, hint
         self._entries: dict[str, T] = {}
 
     def register(self, name: str, entry: T) -> T:
         """Adds ``entry``; a name can be taken only once.
 
         Raises:
-            ValueError: if ``name`` is taken.
+            InputError: (a ``ValueError``) if ``name`` is taken.
         """
         if name in self._entries:
-            raise ValueError(f"the {self.kind} {name!r} is registered already; choose another name")
+            raise InputError(f"the {self.kind} {name!r} is registered already; choose another name")
         self._entries[name] = entry
         return entry
 
@@ -51,8 +85,7 @@ class Registry(Generic[T]):
             UnknownNameError: if there is none; lists the names there are.
         """
         if name not in self._entries:
-            known = ", ".join(self._entries)
-            raise UnknownNameError(f"unknown {self.kind} {name!r}; known: {known}")
+            raise unknown(self.kind, name, self._entries, self.hint)
         return self._entries[name]
 
     def names(self) -> tuple[str, ...]:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from torchrl_atr import __version__
 from torchrl_atr._errors import UserError
+from torchrl_atr._files import atomic, explain, make_folder
+from torchrl_atr._registry import nearest
 from torchrl_atr.listings import LISTINGS
 
 _DEFAULT_RUN = Path("runs/latest")
@@ -36,7 +40,46 @@ _SETTINGS = (
     "workers",
 )
 """Settings that have an option of their own."""
-_RESUMABLE = ("total_frames", "max_minutes")
+_PLACES = ("config", "overrides", "output", "overwrite")
+"""What else ``train`` takes."""
+_RESUMABLE = ("total_frames", "max_minutes", "device")
+
+
+def _path(text: str) -> Path:
+    if not text.strip():  # of an unset shell variable; Path("") would be the working directory
+        raise argparse.ArgumentTypeError("it is empty; give a path")
+    return Path(text)
+
+
+def _run(text: str) -> Path:
+    path = _path(text)
+    if path.is_file():
+        raise argparse.ArgumentTypeError(f"{path} is a file; give the folder of a run, such as {path.parent}")
+    return path
+
+
+def _number(kind: Callable[[str], float], low: float, high: float) -> Callable[[str], float]:
+    """A reader of numbers in [low, high] for argparse, which says which option is wrong."""
+
+    def read(text: str) -> float:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = float("nan")
+        if not low <= value <= high:
+            numbers = "whole number" if kind is int else "number"
+            raise argparse.ArgumentTypeError(f"{text!r} does not fit; give a {numbers} in [{low:.10g}, {high:.10g}]")
+        return value
+
+    return read
+
+
+_seed = _number(int, 0, 2**31 - 1)
+
+
+def _option(name: str) -> str:
+    """What the command line calls a setting."""
+    return {"imports": "--import", "overrides": "--set"}.get(name, f"--{name.replace('_', '-')}")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -50,52 +93,58 @@ def build_parser() -> argparse.ArgumentParser:
     model = commands.add_parser("model", help="write a robot on its transporter as one MJCF file")
     model.add_argument("robot", help="a name, or a .toml file that describes one of your own")
     model.add_argument("transporter")
-    model.add_argument("--output", type=Path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer")
+    model.add_argument(
+        "--output", type=_path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer"
+    )
     listing = commands.add_parser("list", help="list what is registered")
     listing.add_argument("what", choices=sorted(LISTINGS))
+    for command in commands.choices.values():
+        command.set_defaults(parser=command)
     return parser
 
 
 def _add_train(parser: argparse.ArgumentParser) -> None:
-    # names match TrainConfig's fields; None means "as the config file or the default says"
+    # names match TrainConfig's fields, which convert and check; None means "as the config file or the default says"
     parser.add_argument("--robot", help="a name, or a .toml file that describes one of your own")
     parser.add_argument("--transporter")
     parser.add_argument("--profile", help="how the paper's open points are read")
     parser.add_argument("--estimator", help="a registered estimator")
     parser.add_argument("--import", dest="imports", action="append", metavar="MODULE", help="import it first")
-    parser.add_argument("--num-envs", type=int)
-    parser.add_argument("--total-frames", type=float, help="robot steps, absolute")
-    parser.add_argument("--max-minutes", type=float, help="wall clock, earlier sessions of the run included")
-    parser.add_argument("--seed", type=int)
-    parser.add_argument("--device")
+    parser.add_argument("--num-envs", metavar="N")
+    parser.add_argument("--total-frames", metavar="N", help="robot steps, absolute")
+    parser.add_argument("--max-minutes", metavar="MINUTES", help="wall clock, earlier sessions of the run included")
+    parser.add_argument("--seed", metavar="N")
+    parser.add_argument("--device", help="cpu or cuda")
     parser.add_argument("--collector", help="where robots are simulated: direct, process, ray or distributed")
-    parser.add_argument("--workers", type=int, help="processes that share robots and CPUs, unless direct")
-    parser.add_argument("--config", type=Path, metavar="FILE", help=".toml or .json with any setting")
-    parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument("--output", type=Path, metavar="RUN", help=f"the run folder; default: {_DEFAULT_RUN}")
-    parser.add_argument("--overwrite", action="store_true", help="replace a run in that folder")
-    parser.add_argument("--resume", type=Path, metavar="RUN", help="go on from this run's checkpoint")
+    parser.add_argument("--workers", metavar="N", help="processes that share robots and CPUs, unless direct")
+    parser.add_argument("--config", type=_path, metavar="FILE", help=".toml or .json with any setting")
+    parser.add_argument(
+        "--set", dest="overrides", action="append", metavar="KEY=VALUE", help="any setting: `list settings`"
+    )
+    parser.add_argument("--output", type=_path, metavar="RUN", help=f"the run folder; default: {_DEFAULT_RUN}")
+    parser.add_argument("--overwrite", action="store_const", const=True, help="replace a run in that folder")
+    parser.add_argument("--resume", type=_run, metavar="RUN", help="go on from this run's checkpoint")
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", type=Path)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--output", type=Path, help="where the report goes; default: the run folder")
+    parser.add_argument("run", type=_run)
+    parser.add_argument("--seed", type=_seed, default=0)
+    parser.add_argument("--output", type=_path, help="where the report goes; default: the run folder")
     parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
     parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
-    parser.add_argument("--max-speed", type=float, default=2.0, help="m/s")
-    parser.add_argument("--max-yaw-rate", type=float, default=1.0, help="rad/s")
-    parser.add_argument("--speed-step", type=float, default=1.0)
-    parser.add_argument("--yaw-rate-step", type=float, default=0.25)
-    parser.add_argument("--robots-per-command", type=int, default=8)
+    parser.add_argument("--max-speed", type=_number(float, 0, 100), default=2.0, help="m/s")
+    parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), default=1.0, help="rad/s")
+    parser.add_argument("--speed-step", type=_number(float, 0.001, 100), default=1.0, help="m/s; divides the range")
+    parser.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), default=0.25, help="rad/s; likewise")
+    parser.add_argument("--robots-per-command", type=_number(int, 1, 100_000), default=8)
 
 
 def _add_play(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", type=Path)
+    parser.add_argument("run", type=_run)
     parser.add_argument("--transporter", help="ride another one than it was trained on")
-    parser.add_argument("--video", type=Path, help="write an .mp4 or .gif instead of opening a viewer")
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--video", type=_path, help="write an .mp4 or .gif instead of opening a viewer")
+    parser.add_argument("--seconds", type=_number(float, 0.1, 3600), default=20.0, help="of the video")
+    parser.add_argument("--seed", type=_seed, default=0)
 
 
 def train(arguments: argparse.Namespace) -> int:
@@ -114,16 +163,20 @@ def train(arguments: argparse.Namespace) -> int:
 
 
 def _resume(arguments: argparse.Namespace) -> int:
-    from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config
+    from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, run_config
 
-    fixed = [name for name in (*_SETTINGS, "config", "output") if getattr(arguments, name) is not None]
-    fixed = [name for name in fixed if name not in _RESUMABLE] + (["set"] if arguments.overrides else [])
+    given = [name for name in (*_SETTINGS, *_PLACES) if getattr(arguments, name) is not None]
+    fixed = [name for name in given if name not in _RESUMABLE]
     if fixed:
-        names = ", ".join(f"--{name.replace('_', '-')}" for name in fixed)
-        raise ConfigError(f"{names}: a resumed run keeps its settings, --total-frames and --max-minutes excepted")
+        names, allowed = (", ".join(map(_option, group)) for group in (fixed, _RESUMABLE))
+        raise ConfigError(f"{names}: a resumed run keeps its settings, {allowed} excepted; leave it out")
     state = load_checkpoint(arguments.resume)
-    changed = {name: getattr(arguments, name) for name in _RESUMABLE if getattr(arguments, name) is not None}
-    return _exit_code(Trainer(make_config({**state["config"], **changed}), arguments.resume, state).train())
+    changed = {name: getattr(arguments, name) for name in given}
+    trainer = Trainer(run_config(state, arguments.resume, **changed), arguments.resume, state)
+    if trainer.finished:
+        sys.stdout.write(f"{arguments.resume} has ended; to go on, give a larger --total-frames or --max-minutes\n")
+        return 0
+    return _exit_code(trainer.train())
 
 
 def _exit_code(signal: int | None) -> int:
@@ -141,6 +194,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     deck = _deck(arguments)
     config, env, networks, state = load_run(arguments.run, num_envs=1, **deck)
     env.close()
+    make_folder(output)
     result = evaluate_tracking(
         networks.deployed_policy(),
         partial(make_env, config, randomization=arguments.randomization, **deck, **DEPLOYED),
@@ -220,20 +274,41 @@ def write_model(arguments: argparse.Namespace) -> None:
 
     robot = get_robot(arguments.robot)
     spec = scene_spec(robot, get_transporter(arguments.transporter, robot), Readings())
-    arguments.output.write_text(spec.to_xml())
+    with atomic(arguments.output) as file:
+        file.write_text(spec.to_xml())
     sys.stdout.write(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter\n")
 
 
 def _list(arguments: argparse.Namespace) -> None:
-    sys.stdout.writelines(f"{line}\n" for line in LISTINGS[arguments.what]())
+    try:
+        sys.stdout.writelines(f"{line}\n" for line in LISTINGS[arguments.what]())
+        sys.stdout.flush()
+    except BrokenPipeError:  # `| head` has read enough; nor may the interpreter's own flush complain
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 _COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play, "model": write_model, "list": _list}
 
 
+def _refuse(arguments: argparse.Namespace, text: str) -> None:
+    """Exits with code 2 for an argument that the command does not have; a setting may go by ``--set``."""
+    name = text.partition("=")[0].lstrip("-")
+    options = re.findall(r"--[a-z-]+", arguments.parser.format_usage())
+    hint = nearest(f"--{name}", options, otherwise=f"see torchrl-atr {arguments.command} --help")
+    if arguments.command == "train" and f"--{name}" not in options:
+        from torchrl_atr.training import TrainConfig
+
+        setting = name.replace("-", "_")
+        if setting in (field.name for field in dataclasses.fields(TrainConfig)):
+            hint = f"write it as --set {setting}=VALUE"
+    arguments.parser.error(f"unknown argument {text!r}; {hint}")
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; bad input ends with one message and exit code 2."""
-    arguments = build_parser().parse_args(argv)
+    arguments, unknown = build_parser().parse_known_args(argv)
+    if unknown:
+        _refuse(arguments, unknown[0])
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported, by the command
     try:
         return _COMMANDS[arguments.command](arguments) or 0
@@ -241,7 +316,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stderr.write("stopped\n")
         return 130
     except (UserError, OSError, ImportError) as error:
-        sys.stderr.write(f"torchrl-atr {arguments.command}: {error}\n")
+        message = explain(error) if isinstance(error, OSError) else error
+        sys.stderr.write(f"torchrl-atr {arguments.command}: {message}\n")
         return 2
 
 

@@ -63,6 +63,19 @@ def rewards() -> Iterator[str]:
     return _table([name, _summary(term)] for name, term in REWARD_TERMS.items())
 
 
+def settings() -> Iterator[str]:
+    """Every setting of a run (``--set NAME=VALUE``) with its default and range."""
+    import dataclasses
+
+    from torchrl_atr.training.config import RANGES, TrainConfig
+
+    rows = [["setting", "default", "range"]]
+    for field in dataclasses.fields(TrainConfig):
+        limits = " to ".join(f"{limit:.10g}" for limit in RANGES.get(field.name, ()))
+        rows.append([field.name, _value(field.default), limits])
+    return _table(rows)
+
+
 def profiles() -> Iterator[str]:
     """Every open point of the paper: its value in each profile, and why; first the env's, then the recipe's."""
     from torchrl_atr.envs import PROFILES
@@ -95,5 +108,6 @@ LISTINGS: dict[str, Callable[[], Iterable[str]]] = {
     "estimators": estimators,
     "rewards": rewards,
     "profiles": profiles,
+    "settings": settings,
 }
 """What can be listed."""

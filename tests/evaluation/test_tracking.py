@@ -25,7 +25,7 @@ def test_the_default_grid_is_the_evaluations():
 
 @pytest.mark.parametrize("step", [0.0, -1.0, 0.3])
 def test_a_step_that_does_not_divide_the_grid_is_an_error(step):
-    with pytest.raises(ValueError, match="v_step"):
+    with pytest.raises(ValueError, match=f"speed.* step {step:g}"):
         command_grid(v_step=step)
 
 

@@ -128,7 +128,7 @@ def test_a_video_of_five_frames(suffix, env, stand, picture, tmp_path):
 def test_bad_videos_are_named(env, stand, tmp_path):
     with pytest.raises(ValueError, match=r"\.mp4 or \.gif"):
         record_video(stand, env, tmp_path / "ride.avi")
-    with pytest.raises(ValueError, match="at least one command"):
+    with pytest.raises(ValueError, match="0 commands cannot be; give at least one command"):
         record_video(stand, env, tmp_path / "ride.mp4", commands=[])
     with pytest.raises(ValueError, match="unknown camera 'front'; choose one of chase"):
         Picture(env, camera="front")

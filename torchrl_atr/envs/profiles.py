@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from torchrl_atr._errors import UserError
-from torchrl_atr._registry import Registry, UnknownNameError
+from torchrl_atr._registry import Registry, unknown
 
 
 class ReadingError(UserError, ValueError):
@@ -224,5 +224,5 @@ def get_readings(profile: str | Readings = "default", **overrides: Any) -> Readi
     readings = profile if isinstance(profile, Readings) else PROFILES.get(profile)
     for name in overrides:
         if name not in points():
-            raise UnknownNameError(f"unknown reading {name!r}; known: {', '.join(points())}")
+            raise unknown("reading", name, points())
     return dataclasses.replace(readings, **overrides)

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models import RobotSpec, Scene, TransporterSpec, build_scene, get_robot, get_transporter
 from torchrl_atr.envs.physics.engine import DECIMATION, Engine
 from torchrl_atr.envs.profiles import Readings, get_readings
@@ -46,8 +47,9 @@ class RidingEnv(EnvBase):
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
         RobotError: for a robot that cannot ride as it is described.
-        ValueError: for an impossible ``num_envs``, ``physics`` or ``randomization``, a NaN action or a
-            misshapen command.
+        ValueError: for an impossible ``num_envs``, ``physics``, ``randomization`` or ``seed``, and for an action or
+            a command that is misshapen or not finite.
+        KeyError: if a step lacks the action.
 
     Keys: ``action`` (N, 12) and ``command`` (N, 2) in; ``proprio`` (N, 44), ``command``, ``observation``
     (N, 46), ``("privileged", "intrinsic")`` (N, 34), ``("privileged", "extrinsic")`` (N, 16), ``speeds``
@@ -78,7 +80,9 @@ class RidingEnv(EnvBase):
         seed: int | None = None,
     ) -> None:
         if not isinstance(num_envs, int) or num_envs < 1:
-            raise ValueError(f"num_envs={num_envs!r}: choose a whole number of robots, 1 or more")
+            raise InputError(f"num_envs={num_envs!r}: choose a whole number of robots, 1 or more")
+        if seed is not None and not 0 <= seed < 2**63:
+            raise InputError(f"seed={seed!r}: choose a whole number, 0 or more, or None")
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
         readings = get_readings(profile)
         rider = get_robot(robot)
@@ -157,7 +161,10 @@ class RidingEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         command = self._command(tensordict)
-        self.task.act(tensordict["action"])
+        action = tensordict.get("action", None)
+        if action is None:
+            raise KeyError("there is no 'action'; run a policy that writes it, or set it, before env.step")
+        self.task.act(action)
         self.engine.advance(DECIMATION)
         outcome = self.task.judge(command)
         self._emitted = self.task.observe(command, outcome.state)
@@ -170,6 +177,9 @@ class RidingEnv(EnvBase):
             return torch.zeros(shape)
         if command.shape != torch.Size(shape):
             raise ValueError(f"'command' has shape {tuple(command.shape)}; this env needs {shape}: (c_v, c_omega)")
+        if not torch.isfinite(command).all():
+            bad = (~torch.isfinite(command)).any(-1).nonzero().squeeze(-1).tolist()
+            raise ValueError(f"'command' is not finite for env ids {bad[:8]}; give m/s and rad/s")
         return command.to(torch.float32)
 
     def _pack(self, observed: dict[Any, Tensor], terminated: Tensor, terms: dict[str, Tensor] | None) -> TensorDict:

@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.evaluation.metrics import EPSILONS, command_area, do_nothing
@@ -144,13 +145,14 @@ def plot_learning_curves(progress_csv: str | Path, path: str | Path, curves: Map
         curves: labels by column; :data:`LEARNING_CURVES` by default.
 
     Raises:
-        ValueError: if the file has none of these columns, or no rows.
+        InputError: if the file has none of these columns, or no rows.
     """
     columns = _read_columns(Path(progress_csv))
     known = LEARNING_CURVES if curves is None else curves
     labels = {name: label for name, label in known.items() if name in columns}
     if not labels or not len(columns[next(iter(labels))]):
-        raise ValueError(f"{progress_csv} has no rows, or none of the columns {', '.join(known)}")
+        some = ", ".join(list(known)[:3])
+        raise InputError(f"{progress_csv} has no rows, or none of the columns {some}, ...; give the log of a run")
     x = columns["frames"] / 1e6 if "frames" in columns else np.arange(len(next(iter(columns.values()))))
     rows = -(-len(labels) // 3)
     with plt.rc_context(_STYLE):
@@ -252,7 +254,8 @@ def _read_columns(path: Path) -> dict[str, Array]:
     """Columns of numbers; what is empty or no number is NaN."""
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    return {name: np.array([_number(row[name]) for row in rows]) for name in (rows[0] if rows else ())}
+    names = [name for name in (rows[0] if rows else ()) if name is not None]  # None: values beyond the header's
+    return {name: np.array([_number(row[name]) for row in rows]) for name in names}
 
 
 def _number(text: str | None) -> float:

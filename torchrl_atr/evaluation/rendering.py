@@ -7,6 +7,7 @@ import ctypes.util
 import importlib
 import os
 import sys
+import warnings
 from types import TracebackType
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torchrl.envs import EnvBase
 
+from torchrl_atr._errors import InputError, UserError
 from torchrl_atr.evaluation.access import base_env
 
 CHASE = "chase"
@@ -25,6 +27,10 @@ _NO_GL = (
     "cannot render with MUJOCO_GL={name}: {reason}. Without a display, install libegl1 (MUJOCO_GL=egl) "
     "or libosmesa6 (MUJOCO_GL=osmesa), for example: apt-get install libegl1 libgl1-mesa-dri"
 )
+
+
+class DisplayError(UserError, RuntimeError):
+    """Nothing here can show or render; the message says what to install or to do instead."""
 
 
 def has_display() -> bool:
@@ -47,11 +53,14 @@ def _make_contexts(model: mujoco.MjModel, size: tuple[int, int]) -> tuple[Any, m
     # not mujoco.Renderer: its backend is chosen when mujoco is first imported, too early for a default here
     name = gl_backend()
     try:
-        context = importlib.import_module(_BACKENDS[name]).GLContext(*size)
-        context.make_current()
-        return context, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # glfw warns of what the error says
+            context = importlib.import_module(_BACKENDS[name]).GLContext(*size)
+            context.make_current()
+            return context, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_150.value)
     except Exception as error:  # PyOpenGL raises whatever went wrong: AttributeError, ImportError, GLError, ...
-        raise RuntimeError(_NO_GL.format(name=name, reason=error or type(error).__name__)) from error
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise DisplayError(_NO_GL.format(name=name, reason=reason)) from error
 
 
 class Picture:
@@ -67,9 +76,9 @@ class Picture:
         row: which robot.
 
     Raises:
-        RuntimeError: if nothing here can render; says what to install.
+        DisplayError: if nothing here can render; says what to install.
         TypeError: if the env is not a RidingEnv below its transforms.
-        ValueError: if the picture is too large, or there is no such camera.
+        InputError: if the picture is too large, or there is no such camera.
     """
 
     def __init__(self, env: EnvBase, size: tuple[int, int] = (640, 480), camera: str = CHASE, row: int = 0) -> None:
@@ -77,7 +86,7 @@ class Picture:
         model = self._mirror.model
         largest = model.vis.global_.offwidth, model.vis.global_.offheight
         if not (0 < size[0] <= largest[0] and 0 < size[1] <= largest[1]):
-            raise ValueError(f"size={size}: choose width and height up to {largest}")
+            raise InputError(f"size={size}: choose width and height up to {largest}")
         self._camera = self._find_camera(model, camera)
         self._free = camera == CHASE
         self._heading: float | None = None
@@ -96,7 +105,7 @@ class Picture:
         number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name)
         if number < 0:
             known = {CHASE, *(model.camera(i).name for i in range(model.ncam))}
-            raise ValueError(f"unknown camera {name!r}; choose one of {', '.join(sorted(known))}")
+            raise InputError(f"unknown camera {name!r}; choose one of {', '.join(sorted(known))}")
         camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, number
         return camera
 

@@ -17,6 +17,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.evaluation.access import command_owner, extrinsic_names, platform_speeds
 from torchrl_atr.evaluation.estimators import EstimatorErrors, EstimatorSums
@@ -82,20 +83,22 @@ def command_grid(
     """The commands [-v_max, v_max] x [-w_max, w_max]: speeds (V,) in m/s and yaw rates (W,) in rad/s.
 
     Raises:
-        ValueError: if a step is not positive or does not divide its range.
+        InputError: if a step is not positive or does not divide its range.
 
     Example:
         >>> speeds, yaw_rates = command_grid()
         >>> speeds.tolist(), len(yaw_rates)
         ([-2.0, -1.0, 0.0, 1.0, 2.0], 9)
     """
-    return _axis("v", v_max, v_step), _axis("w", w_max, w_step)
+    return _axis("speed", v_max, v_step), _axis("yaw rate", w_max, w_step)
 
 
 def _axis(name: str, limit: float, step: float) -> Array:
-    cells = round(limit / step) if step > 0 else -1
-    if cells < 0 or abs(cells * step - limit) > _TOLERANCE * max(1.0, limit):
-        raise ValueError(f"{name}_step={step} must be positive and divide {name}_max={limit}")
+    if not (step > 0 and 0 <= limit < math.inf):
+        raise InputError(f"the largest {name} {limit:g} must not be negative, nor its step {step:g} be 0 or less")
+    cells = round(limit / step)
+    if abs(cells * step - limit) > _TOLERANCE * max(1.0, limit):
+        raise InputError(f"the {name} step {step:g} must divide the largest {name} {limit:g}; take {limit / 4:g}")
     return np.arange(-cells, cells + 1, dtype=np.float64) * step
 
 
@@ -138,7 +141,7 @@ def evaluate_tracking(
         The figures of all V x W x R trials.
 
     Raises:
-        ValueError: for impossible numbers, or if ``make_env`` built another number of robots.
+        InputError: for impossible numbers. ValueError: if ``make_env`` built another number of robots.
         TypeError: if the env cannot pin commands, or cannot be measured.
 
     Example:
@@ -154,9 +157,12 @@ def evaluate_tracking(
     axes = [np.asarray(axis, dtype=np.float64).reshape(-1) for axis in grid]
     total, settled = round(seconds / dt), round(settle / dt)
     if not 0 <= settled < total:
-        raise ValueError(f"settle={settle} s must be shorter than the trial, seconds={seconds}, and not negative")
+        raise InputError(f"settle={settle} s must be shorter than the trial, seconds={seconds}, and not negative")
     if robots_per_command < 1 or not all(axis.size and np.isfinite(axis).all() for axis in axes):
-        raise ValueError("need at least one robot per command, and one finite speed and yaw rate")
+        raise InputError(
+            f"robots_per_command={robots_per_command} and the commands {axes}: give at least one robot per command, "
+            "and one finite speed and yaw rate"
+        )
     pairs = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     trials = torch.as_tensor(np.repeat(pairs, robots_per_command, axis=0), dtype=torch.float32)
     chunks = trials.split(MAX_ROBOTS)

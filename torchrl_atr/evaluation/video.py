@@ -13,6 +13,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.evaluation.access import command_owner, platform_speeds
@@ -79,18 +80,21 @@ def record_video(
         Steps, pictures and falls.
 
     Raises:
-        ValueError: for an unknown suffix or camera, no commands, or commands out of the curriculum's grid.
+        InputError: for an unknown suffix or camera, no commands, or commands out of the curriculum's grid.
         ImportError: if mediapy or imageio-ffmpeg is missing.
-        RuntimeError: if nothing here can render; says what to install.
+        DisplayError: if nothing here can render; says what to install.
 
     Example:
         >>> record_video(networks.deployed_policy(), env, "ride.mp4")  # doctest: +SKIP
     """
     codec = _SUFFIXES.get(Path(path).suffix.lower())
     if codec is None:
-        raise ValueError(f"cannot write {Path(path).name!r}; choose a name that ends in {' or '.join(_SUFFIXES)}")
-    if not commands or seconds <= 0 or fps <= 0:
-        raise ValueError("a video needs at least one command, and positive seconds and fps")
+        raise InputError(f"cannot write {Path(path).name!r}; choose a name that ends in {' or '.join(_SUFFIXES)}")
+    if not commands or not seconds >= CONTROL_DT or not fps > 0:
+        raise InputError(
+            f"a video of {seconds:g} s with {fps:g} pictures a second and {len(commands)} commands cannot be; give at "
+            f"least one command, {CONTROL_DT:g} s and a positive fps"
+        )
     media = _mediapy()
     every = max(1, round(1.0 / (fps * CONTROL_DT)))
     period, shape, frames, falls = every * CONTROL_DT, (size[1], size[0]), 0, 0

@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.evaluation.rendering import Mirror, has_display
+from torchrl_atr.evaluation.rendering import DisplayError, Mirror, has_display
 from torchrl_atr.evaluation.video import Command, ride
 
 _FOREVER = 10**9
@@ -70,10 +70,10 @@ def play_viewer(
         seconds: stop after so many.
 
     Raises:
-        RuntimeError: if there is no display; suggests a video.
+        DisplayError: if there is no display; suggests a video.
     """
     if not has_display():
-        raise RuntimeError(
+        raise DisplayError(
             "there is no display for the viewer (DISPLAY is not set); record a video instead: --video out.mp4"
         )
     import mujoco.viewer

@@ -118,13 +118,14 @@ class ActorBackbone(nn.Module):
         self.register_buffer("noise_basis", check_basis(basis, action_features))
         # Adam's steps are alike in all outputs. In units of the exploration's variance, a column's share of the
         # divergence follows what its exploration can teach: what is explored little does not use up the trust region.
+        exploration = StateIndependentStd(action_features, init_std, min_std)
         std = torch.as_tensor(init_std, dtype=basis.dtype).expand(action_features)
         self.register_buffer("head", ((std.square() / std.max()).unsqueeze(-1) * basis.T).contiguous())
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
         in_features = size + len(products) + latent_features + extrinsic_norm.shape.numel()
         self.net = MLP(in_features, action_features, num_cells=list(cells), activation_class=nn.ELU)
-        self.std = StateIndependentStd(action_features, init_std, min_std)
+        self.std = exploration
 
     def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``loc`` and ``scale``, each (*B, A), from (*B, O), (*B, L) and (*B, E) (SI units).

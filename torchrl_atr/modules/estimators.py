@@ -14,10 +14,12 @@ import torch
 from torch import Tensor, nn
 from torchrl.modules import MLP
 
-from torchrl_atr._registry import Registry, UnknownNameError
+from torchrl_atr._registry import Registry
 
 EstimatorFactory = Callable[..., nn.Module]
-_ESTIMATORS: Registry[EstimatorFactory] = Registry("estimator")
+_ESTIMATORS: Registry[EstimatorFactory] = Registry(
+    "estimator", hint="add yours with register_estimator(name, factory) in a module that is imported first"
+)
 
 
 def register_estimator(name: str, factory: EstimatorFactory | None = None) -> Any:
@@ -68,12 +70,7 @@ def get_estimator(name: str) -> EstimatorFactory:
         >>> get_estimator("cnn_gru").__name__
         'CNNGRUEstimator'
     """
-    try:
-        return _ESTIMATORS.get(name)
-    except UnknownNameError as error:
-        raise UnknownNameError(
-            f"{error}; add yours with register_estimator(name, factory) in a module that is imported first"
-        ) from None
+    return _ESTIMATORS.get(name)
 
 
 def available_estimators() -> tuple[str, ...]:

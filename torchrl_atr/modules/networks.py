@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
+from torchrl_atr._registry import nearest
 from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.critic import AsymmetricCritic
@@ -170,8 +171,12 @@ class RidingNetworks(nn.Module):
             (self.extrinsic_estimator.side_norm, keys.odometry),
             (self.critic.outlook_norm, keys.outlook),
         ):
-            if norm is not None:
-                norm.update(tensordict.get(key))
+            if norm is None:
+                continue
+            value = tensordict.get(key, None)
+            if value is None:
+                raise KeyError(f"the batch lacks {key!r}, which is normalised; keep it, or rename it in NetworkKeys")
+            norm.update(value)
 
     def policy_parameters(self) -> Iterator[nn.Parameter]:
         """Iterate over what PPO and the ROA term train: encoder, actor and critic."""
@@ -306,9 +311,11 @@ def _shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
     """Return the last ``ndim`` sizes of ``spec[key]`` (of ``spec`` itself if it is a leaf)."""
     if isinstance(spec, Composite):
         if key not in spec.keys(True, True):
+            entries = f"it has {', '.join(map(str, spec.keys()))}."
+            similar = nearest(str(key), map(str, spec.keys(True, True)), otherwise=entries)
             raise KeyError(
-                f"The spec has no entry {key!r}; it has {sorted(map(str, spec.keys(True, True)))}. "
-                "Add the transform that writes it, or pass keys=NetworkKeys(...) with the env's own names."
+                f"The spec has no entry {key!r}; {similar} Add the transform that writes it, or pass "
+                "keys=NetworkKeys(...) with the env's own names."
             )
         spec = spec[key]
     if len(spec.shape) < ndim:

@@ -161,7 +161,8 @@ class ROAClipPPOLoss(ClipPPOLoss):
             setattr(self, f"target_{name}_params", None)
 
     def _add_scale(self, scale: Tensor | nn.Module | None) -> None:
-        if isinstance(scale, nn.Module) and not isinstance(getattr(scale, "std", None), Tensor):
+        std = scale.std if isinstance(scale, nn.Module) and hasattr(scale, "std") else scale
+        if std is not None and not isinstance(std, Tensor):
             raise ValueError("extrinsic_scale must be a Tensor, a RunningNormalizer (a module with std) or None.")
         if isinstance(scale, Tensor) and not bool((scale > 0).all()):
             raise ValueError(f"extrinsic_scale must be positive, got {scale.tolist()}.")
@@ -257,8 +258,12 @@ class ROAClipPPOLoss(ClipPPOLoss):
         """Run a network on its own inputs only, so that it cannot overwrite what the rollout recorded."""
         network, params = getattr(self, name), getattr(self, f"{name}_params")
         swapped = contextlib.nullcontext() if params is None else params.to_module(network, preserve_module_state=False)
+        try:
+            inputs = tensordict.select(*network.in_keys)
+        except KeyError as error:
+            raise KeyError(f"{name} reads {network.in_keys}, not all of which are in the data: keep them") from error
         with swapped:
-            out = network(tensordict.select(*network.in_keys)).get(key, None)
+            out = network(inputs).get(key, None)
         if out is None:
             raise KeyError(
                 f"{name} did not write {key!r}; it writes {network.out_keys}. Give it that out_key, or "

@@ -6,6 +6,7 @@ from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.config_io import make_config, read_config
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.recipes import RECIPE_POINTS
+from torchrl_atr.training.restoring import run_config
 from torchrl_atr.training.trainer import Trainer
 
 __all__ = [
@@ -22,5 +23,6 @@ __all__ = [
     "make_env",
     "make_run_networks",
     "read_config",
+    "run_config",
     "save_checkpoint",
 ]

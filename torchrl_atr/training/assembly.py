@@ -15,9 +15,9 @@ from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import NetworkKeys, RidingNetworks, leg_synergies, make_networks
-from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
+from torchrl_atr.training.checkpoint import load_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig
-from torchrl_atr.training.config_io import make_config
+from torchrl_atr.training.restoring import load_networks, run_config
 
 DEPLOYED: dict[str, Any] = {"moving_start": 0.0, "pushes": False, "runaway_margin": None, "max_steps": 2**31 - 1}
 """Env arguments without what belongs to training only: a ride from rest that nothing but a fall ends."""
@@ -58,13 +58,18 @@ def import_modules(names: Sequence[str]) -> None:
     Raises:
         ConfigError: if one cannot be imported.
     """
+    for name in names:
+        if name.endswith(".py") or not all(name.split(".")):
+            raise ConfigError(f"cannot import {name!r}; give a module's name, such as my_module for my_module.py")
     if names and os.getcwd() not in sys.path:
         sys.path.insert(0, os.getcwd())
     for name in names:
         try:
             importlib.import_module(name)
-        except ImportError as error:
-            raise ConfigError(f"cannot import {name!r} ({error}); run where it can be found") from error
+        except (ImportError, SyntaxError) as error:
+            raise ConfigError(
+                f"cannot import {name!r} ({error}); run where it can be found, and imports alone"
+            ) from error
 
 
 def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
@@ -98,15 +103,12 @@ def load_run(run: Path, **env_overrides: Any) -> tuple[TrainConfig, TransformedE
         **env_overrides: see :func:`make_env`.
 
     Raises:
-        CheckpointError: if there is no readable checkpoint.
+        CheckpointError: if there is no readable checkpoint, or it does not fit this code.
     """
     state = load_checkpoint(run)
-    config = make_config(state["config"])
+    config = run_config(state, run, device="cpu")  # wherever it was trained
     import_modules(config.imports)
     env = make_env(config, **env_overrides)
     networks = make_run_networks(config, env)
-    try:
-        networks.load_state_dict(state["learner"]["networks"])
-    except RuntimeError as error:
-        raise CheckpointError(f"the networks in {run} do not fit this code's: {error}") from error
+    load_networks(networks, state["learner"]["networks"], run)
     return config, env, networks, state

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import os
 import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +28,15 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
     Args:
         path: of the checkpoint.
         state: nested dicts of tensors, numbers and strings.
+
+    Raises:
+        OSError: if it cannot be written; names ``path``.
     """
+    buffer = io.BytesIO()  # a full disk under torch.save is a RuntimeError about positions
+    torch.save({"version": VERSION, **state}, buffer)
     with atomic(path) as temporary:
         with temporary.open("wb") as file:
-            torch.save({"version": VERSION, **state}, file)
+            file.write(buffer.getbuffer())
             file.flush()
             os.fsync(file.fileno())
         load_checkpoint(temporary)
@@ -49,13 +56,35 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     if not path.is_file():
         raise CheckpointError(f"there is no checkpoint at {path}; give a run folder that `torchrl-atr train` wrote")
     try:
+        _check_whole(path)
         state = torch.load(path, map_location=device, weights_only=True)
-    except (RuntimeError, EOFError, OSError, pickle.UnpicklingError, KeyError, ValueError) as error:
+    except pickle.UnpicklingError as error:
         raise CheckpointError(
-            f"the checkpoint {path} cannot be read, it may be truncated ({type(error).__name__}); restore the file or "
-            "start a new run"
+            f"{path} holds more than tensors and numbers, maybe code, and is not loaded; give a checkpoint that "
+            "`torchrl-atr train` wrote"
         ) from error
-    if not isinstance(state, dict) or state.get("version") != VERSION:
-        found = state.get("version") if isinstance(state, dict) else type(state).__name__
-        raise CheckpointError(f"{path} has checkpoint version {found!r}; this code reads version {VERSION}")
+    except (RuntimeError, zipfile.BadZipFile) as error:
+        raise CheckpointError(
+            f"the checkpoint {path} cannot be read, it may be truncated or none of ours; restore the file or start anew"
+        ) from error
+    if not isinstance(state, dict) or "version" not in state:
+        raise CheckpointError(f"{path} is not a checkpoint of ours; give a run folder that `torchrl-atr train` wrote")
+    if state["version"] != VERSION:
+        raise CheckpointError(
+            f"{path} has checkpoint version {state['version']!r}; this code reads version {VERSION}: use the "
+            f"torchrl_atr that wrote it{_writer(state)}, or train anew"
+        )
     return state
+
+
+def _check_whole(path: Path) -> None:
+    """Compares checksums, which loading does not: a flipped bit is a wrong weight."""
+    with zipfile.ZipFile(path) as archive:
+        damaged = archive.testzip()
+    if damaged is not None:
+        raise zipfile.BadZipFile(damaged)
+
+
+def _writer(state: dict[str, Any]) -> str:
+    versions = state.get("provenance", {}).get("versions", {})
+    return f" ({versions['torchrl_atr']})" if "torchrl_atr" in versions else ""

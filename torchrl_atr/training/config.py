@@ -15,6 +15,7 @@ from torchrl_atr._errors import UserError
 from torchrl_atr.envs.models import get_robot, get_transporter
 from torchrl_atr.envs.models.robot_file import is_robot_file
 from torchrl_atr.envs.profiles import PROFILES
+from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.modules import SOURCES, Source
 
 COLLECTORS = ("direct", "process", "ray", "distributed")
@@ -138,20 +139,22 @@ class TrainConfig:
     checkpoint_seconds: float = 60.0
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _RANGES.items():
+        for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if not isinstance(value, int | float) or not low <= value <= high or math.isnan(value):
-                raise ConfigError(f"{name}={value!r} is out of range; choose a number in [{low:g}, {high:g}]")
+                raise ConfigError(f"{name}={value!r} is out of range; choose a number in [{low:.10g}, {high:.10g}]")
+        if not self.critic_cells or min(self.critic_cells) < 1:
+            raise ConfigError(f"critic_cells={self.critic_cells} must be widths of 1 or more, such as 256,128,64")
         get_transporter(self.transporter, get_robot(self.robot))
         if is_robot_file(self.robot):  # the run must find it from wherever it is evaluated
             object.__setattr__(self, "robot", str(Path(self.robot).resolve()))
         PROFILES.get(self.profile)
         if self.act_source not in SOURCES:
             raise ConfigError(f"act_source={self.act_source!r} is unknown; choose one of {', '.join(SOURCES)}")
-        if self.score_from_seconds >= self.command_seconds:
+        if self.score_from_seconds > self.command_seconds - CONTROL_DT:
             raise ConfigError(
                 f"score_from_seconds={self.score_from_seconds:g} must be below "
-                f"command_seconds={self.command_seconds:g}: nothing would be left to score"
+                f"command_seconds={self.command_seconds:g} by a control step: nothing would be left to score"
             )
         if self.episode_seconds < self.command_seconds:
             raise ConfigError(
@@ -165,6 +168,11 @@ class TrainConfig:
                 f"num_envs={self.num_envs} cannot be shared evenly by workers={self.workers}; choose a multiple of it"
             )
         _check_device(self.device)
+        if self.learning_rate > self.max_learning_rate:
+            raise ConfigError(
+                f"learning_rate={self.learning_rate:g} must not exceed max_learning_rate={self.max_learning_rate:g}, "
+                "up to which it is adapted"
+            )
         for name in ("init_std", "relative_std", "final_std"):
             if self.min_std >= getattr(self, name):
                 raise ConfigError(f"min_std={self.min_std:g} must be below {name}={getattr(self, name):g}")
@@ -181,15 +189,18 @@ class TrainConfig:
 
 def _check_device(name: str) -> None:
     try:
-        kind = torch.device(name).type
+        device = torch.device(name)
     except RuntimeError as error:
         raise ConfigError(f"device={name!r} is unknown; use 'cpu' or 'cuda'") from error
-    if kind == "cuda" and not torch.cuda.is_available():
-        raise ConfigError(f"device={name!r}: torch finds no CUDA device here; use 'cpu'")
+    if device.type not in ("cpu", "cuda"):
+        raise ConfigError(f"device={name!r} is not supported; use 'cpu' or 'cuda'")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        found = torch.cuda.device_count() or "no"
+        raise ConfigError(f"device={name!r}: torch finds {found} CUDA device here; use 'cpu'")
 
 
 _POSITIVE = 1e-12
-_RANGES: dict[str, tuple[float, float]] = {
+RANGES: dict[str, tuple[float, float]] = {
     "num_envs": (1, 1_000_000),
     "rollout_steps": (2, 100_000),
     "total_frames": (1, 1e15),
@@ -226,9 +237,10 @@ _RANGES: dict[str, tuple[float, float]] = {
     "command_seconds": (0.1, 1e6),
     "tracking_threshold": (0.01, 1),
     "score_from_seconds": (0, 1e6),
-    "initial_speed": (0.0, 15.0),
-    "initial_yaw_rate": (0.0, 2.0),
+    "initial_speed": (_POSITIVE, 15.0),
+    "initial_yaw_rate": (_POSITIVE, 2.0),
     "runaway_speed": (_POSITIVE, 1e6),
     "runaway_yaw_rate": (_POSITIVE, 1e6),
     "checkpoint_seconds": (0, 1e6),
 }
+"""Smallest and largest value of each number."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from torchrl_atr._registry import nearest
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.recipes import recipe_of
 
@@ -27,18 +29,23 @@ def make_config(values: dict[str, Any] | None = None, overrides: list[str] | Non
         0.9
     """
     merged = dict(values or {})
-    recipe = recipe_of(str(merged.get("profile", "default")))
-    merged = {**recipe, **merged}
     for text in overrides or []:
         key, separator, value = text.partition("=")
         if not separator:
-            raise ConfigError(f"--set {text!r}: write it as key=value")
+            raise ConfigError(f"--set {text!r}: write it as key=value, such as --set gamma=0.99")
         merged[key.strip()] = value.strip()
-    fields = {field.name: field for field in dataclasses.fields(TrainConfig)}
-    for name in merged:
-        if name not in fields:
-            raise ConfigError(f"unknown setting {name!r}; known: {', '.join(fields)}")
-    return TrainConfig(**{name: _convert(name, value, fields[name].default) for name, value in merged.items()})
+    merged = {**recipe_of(str(merged.get("profile", "default"))), **merged}
+    defaults = {field.name: field.default for field in dataclasses.fields(TrainConfig)}
+    for name, value in merged.items():
+        if name not in defaults:
+            raise ConfigError(_unknown(name, value, defaults))
+    return TrainConfig(**{name: _convert(name, value, defaults[name]) for name, value in merged.items()})
+
+
+def _unknown(name: str, value: Any, known: Iterable[str]) -> str:
+    if isinstance(value, dict):
+        return f"unknown section [{name}]; write its settings at the top of the file, without sections"
+    return f"unknown setting {name!r}; {nearest(name, known, '`torchrl-atr list settings` shows all')}"
 
 
 def read_config(path: Path) -> dict[str, Any]:
@@ -47,25 +54,38 @@ def read_config(path: Path) -> dict[str, Any]:
     Raises:
         ConfigError: if it is missing, of another kind, or malformed.
     """
+    parse = {".toml": tomllib.loads, ".json": json.loads}.get(path.suffix)
+    if parse is None:
+        raise ConfigError(f"{path}: use a .toml or .json file")
     if not path.is_file():
-        raise ConfigError(f"there is no configuration file {path}")
+        raise ConfigError(f"there is no configuration file {path}; check its path")
     try:
-        if path.suffix == ".toml":
-            return tomllib.loads(path.read_text())
-        if path.suffix == ".json":
-            return json.loads(path.read_text())
+        values = parse(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path} is not valid {path.suffix[1:].upper()}: {error}") from error
-    raise ConfigError(f"{path}: use a .toml or .json file")
+        raise ConfigError(f"{path} is not valid {path.suffix[1:].upper()}: {error}; correct it there") from error
+    if not isinstance(values, dict):
+        raise ConfigError(f'{path} holds a {type(values).__name__}; write settings in it, such as {{"gamma": 0.99}}')
+    return values
+
+
+_KINDS = {
+    int: "a whole number such as {}",
+    float: "a number such as {}",
+    bool: "true or false",
+    str: "a text such as {}",
+    tuple: "a list such as {}",
+}
 
 
 def _convert(name: str, value: Any, default: Any) -> Any:
     """``value`` as the type of the field's default."""
     kind = type(default)
     try:
+        if isinstance(value, bool) and kind is not bool:
+            raise TypeError
         if kind is tuple:
             parts = [part for part in value.split(",") if part] if isinstance(value, str) else value
-            return tuple(type(default[0])(part) if default else str(part) for part in parts)
+            return tuple(_convert(name, part, default[0] if default else "") for part in parts)
         if kind is bool:
             return {"true": True, "false": False}[str(value).lower()]
         if kind is int:
@@ -79,4 +99,5 @@ def _convert(name: str, value: Any, default: Any) -> Any:
             raise TypeError
         return value
     except (KeyError, TypeError, ValueError, OverflowError):
-        raise ConfigError(f"{name}={value!r} is not a valid {kind.__name__}") from None
+        example = ",".join(map(str, default)) or "my_module" if kind is tuple else default
+        raise ConfigError(f"{name}={value!r} does not fit; give {_KINDS[kind].format(example)}") from None

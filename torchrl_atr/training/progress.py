@@ -8,6 +8,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from torchrl_atr._errors import InputError
+from torchrl_atr._files import atomic, naming
 from torchrl_atr.training.config import TrainConfig
 
 _SHOWN = (
@@ -87,9 +89,12 @@ class Progress:
         """Drops the rows of iterations that the checkpoint has not seen; returns the columns."""
         with self._csv_path.open(newline="") as file:
             reader = csv.DictReader(file)
-            rows = [row for row in reader if float(row["frames"]) <= frames]
             columns = list(reader.fieldnames or [])
-        with self._csv_path.open("w", newline="") as file:
+            if columns and "frames" not in columns:
+                raise InputError(f"{self._csv_path} is not the log of a run: it has no column 'frames'; move it away")
+            whole = (row for row in reader if None not in row.values())  # a kill may have cut the last one
+            rows = [row for row in whole if float(row["frames"]) <= frames]
+        with atomic(self._csv_path) as path, path.open("w", newline="") as file:
             writer = csv.DictWriter(file, columns)
             writer.writeheader()
             writer.writerows(rows)
@@ -100,7 +105,7 @@ class Progress:
         if fresh:
             # a metric that the first batch lacks (no episode had ended) still gets its column
             self._fields = list(dict.fromkeys([*metrics, "episode_length", "episode_reward"]))
-        with self._csv_path.open("a", newline="") as file:
+        with naming(self._csv_path), self._csv_path.open("a", newline="") as file:
             writer = csv.DictWriter(file, self._fields, extrasaction="ignore", restval="")
             if fresh:
                 writer.writeheader()

@@ -26,6 +26,7 @@ from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
+from torchrl_atr.training.restoring import load_networks
 
 
 class Trainer:
@@ -53,6 +54,7 @@ class Trainer:
             networks.update_normalizers(self.env.rollout(config.rollout_steps))
         self.learner = Learner(networks.to(config.device), config)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
+        self.collection: Collection | None = None  # from train() on
         self._state = state
         if state is not None:
             self._restore(state)
@@ -70,17 +72,17 @@ class Trainer:
             The signal that ended it early, or None.
         """
         write_json(self.run / "config.json", self.config.to_dict())
-        self.collection = self._start_collection()
+        self.collection = collection = self._start_collection()
         try:
             self.save()
             with self.progress, Interrupt() as interrupt:
-                self._loop(interrupt, on_iteration)
+                self._loop(collection, interrupt, on_iteration)
             self.save()
         except CollectionError:
             self.save()  # what was learned is whole: it was the next batch that did not come
             raise
         finally:
-            self.collection.shutdown()
+            collection.shutdown()
         if interrupt.signal is not None:
             sys.stdout.write(f"stopped; go on with: torchrl-atr train --resume {self.run}\n")
         return interrupt.signal
@@ -95,12 +97,17 @@ class Trainer:
             torch.set_rng_state(self._state["rng"])  # last: building all this drew from it
         return collection
 
-    def _loop(self, interrupt: Interrupt, on_iteration: Callable[[dict[str, float]], None] | None) -> None:
+    def _loop(
+        self,
+        collection: Collection,
+        interrupt: Interrupt,
+        on_iteration: Callable[[dict[str, float]], None] | None,
+    ) -> None:
         saved = time.monotonic()
         started = saved - self.seconds
         while not self.finished and interrupt.signal is None:
             self.learner.anneal(self.progress_made)
-            metrics = self._iterate(started)
+            metrics = self._iterate(collection, started)
             self.progress.update(metrics)
             if on_iteration is not None:
                 on_iteration(metrics)
@@ -119,10 +126,10 @@ class Trainer:
         """Whether frames or minutes have run out."""
         return self.progress_made >= 1
 
-    def _iterate(self, started: float) -> dict[str, float]:
-        batch = self.collection.collect()
+    def _iterate(self, collection: Collection, started: float) -> dict[str, float]:
+        batch = collection.collect()
         collected = time.monotonic()
-        metrics = self._learn(batch)
+        metrics = self._learn(collection, batch)
         now = time.monotonic()
         elapsed = now - started
         metrics["collect_seconds"] = collected - started - self.seconds
@@ -134,28 +141,29 @@ class Trainer:
         metrics["frames"], metrics["iteration"], metrics["minutes"] = self.frames, self.iteration, elapsed / 60
         return metrics
 
-    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
+    def _learn(self, collection: Collection, batch: TensorDictBase) -> dict[str, float]:
         metrics = batch_metrics(batch, self._tracking_max)
         metrics.update(self.learner.update(batch))
-        self.collection.publish()
-        self.collection.exchange()
+        collection.publish()
+        collection.exchange()
         metrics["command_area"] = self.curriculum.command_area[0]
         metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
         metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
-        metrics["diverged"] = self.collection.num_diverged
+        metrics["diverged"] = collection.num_diverged
         return metrics
 
     def save(self) -> None:
         """Writes the checkpoint (config, learner, curriculum, collection, counters) and where it comes from."""
         origin = provenance(self.config, self.frames, self.seconds)
         write_json(self.run / "run.json", origin)
+        carried = self._state.get("collection", {}) if self._state else {}
         save_checkpoint(
             self.run / NAME,
             {
                 "config": self.config.to_dict(),
                 "learner": self.learner.state_dict(),
                 "curriculum": {"weights": self.curriculum.weights, **self.curriculum.get_extra_state()},
-                "collection": self.collection.state_dict(),
+                "collection": self.collection.state_dict() if self.collection else carried,
                 "frames": self.frames,
                 "iteration": self.iteration,
                 "seconds": self.seconds,
@@ -165,6 +173,7 @@ class Trainer:
         )
 
     def _restore(self, state: dict[str, Any]) -> None:
+        load_networks(self.learner.networks, state["learner"]["networks"], self.run)
         self.learner.load_state_dict(state["learner"])
         self.curriculum.load_weights(state["curriculum"]["weights"])
         self.curriculum.set_extra_state({k: v for k, v in state["curriculum"].items() if k != "weights"})

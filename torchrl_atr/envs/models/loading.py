@@ -8,8 +8,8 @@ from typing import Any
 
 import mujoco
 
+from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
-from torchrl_atr.envs.models.robot_file import nearest
 
 _IDENTITY = ("classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata")
 """What an element of an ``MjSpec`` is rather than what it is set to; some cannot even be read on a default."""
@@ -39,7 +39,7 @@ def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         (12, 12.14)
     """
     if not robot.mjcf.is_file():
-        raise robot.error(f"there is no MJCF file at {robot.mjcf}")
+        raise robot.error(f"there is no MJCF file at {robot.mjcf}; check mjcf")
     try:
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
         for folder in ("meshdir", "texturedir"):  # absolute: the scene may be saved anywhere

@@ -127,7 +127,7 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-ROBOTS: Registry[RobotSpec] = Registry("robot")
+ROBOTS: Registry[RobotSpec] = Registry("robot", hint="or a .toml file that describes one")
 
 
 def register_robot(name: str, spec: RobotSpec) -> RobotSpec:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import tomllib
 from pathlib import Path
 
+from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models.robot import ROBOTS, RobotError, RobotSpec
 
 SUFFIX = ".toml"
@@ -52,13 +52,13 @@ def read_robot(path: str | Path) -> RobotSpec:
         >>> read_robot("nowhere.toml")
         Traceback (most recent call last):
         ...
-        torchrl_atr.envs.models.robot.RobotError: there is no robot file nowhere.toml
+        torchrl_atr.envs.models.robot.RobotError: there is no robot file nowhere.toml; check its path
     """
     path = Path(path)
     if not path.is_file():
-        raise RobotError(f"there is no robot file {path}")
+        raise RobotError(f"there is no robot file {path}; check its path")
     try:
-        values = tomllib.loads(path.read_text())
+        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise RobotError(f"{path} is not valid TOML: {error}") from error
     known = [field.name for field in dataclasses.fields(RobotSpec)]
@@ -74,14 +74,3 @@ def read_robot(path: str | Path) -> RobotSpec:
         return RobotSpec(**values)
     except RobotError as error:
         raise RobotError(f"{path}: {error}") from error
-
-
-def nearest(name: str, known: list[str]) -> str:
-    """What to say to someone who asked for ``name``: the most similar of ``known``, else all of them.
-
-    Example:
-        >>> nearest("jionts", ["joints", "feet"])
-        "did you mean 'joints'?"
-    """
-    close = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {close[0]!r}?" if close else f"there are {', '.join(known) or 'none'}"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_atr._errors import UserError
-from torchrl_atr._registry import Registry, UnknownNameError
+from torchrl_atr._registry import Registry, unknown
 from torchrl_atr.envs.models.robot import GROUPS, RobotSpec
 from torchrl_atr.envs.profiles import Readings
 
@@ -182,6 +182,5 @@ def get_transporter(transporter: str | TransporterSpec, robot: RobotSpec) -> Tra
     if transporter in DESIGNS:
         return TRANSPORTERS.get(f"{transporter}_{robot.group.lower()}")
     if transporter not in TRANSPORTERS.names():
-        known = ", ".join([*DESIGNS, *TRANSPORTERS.names()])
-        raise UnknownNameError(f"unknown transporter {transporter!r}; known: {known}")
+        raise unknown("transporter", transporter, [*DESIGNS, *TRANSPORTERS.names()])
     return TRANSPORTERS.get(transporter)

@@ -13,6 +13,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
+from torchrl_atr._registry import nearest
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.rows import CommandRows
 
@@ -181,7 +182,12 @@ class CommandCurriculum(Transform):
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         if self.rest_key is not None:
-            moving = (tensordict_reset.get(self.rest_key) != 0).flatten(0, -2).any(-1)
+            rest = tensordict_reset.get(self.rest_key, None)
+            if rest is None:
+                raise KeyError(
+                    f"rest_key {self.rest_key!r} is not in the reset; {_similar(self.rest_key, tensordict_reset)}"
+                )
+            moving = (rest != 0).flatten(0, -2).any(-1)
             self.rows.cells = self.rows.cells.masked_fill(self._started & moving.to(self._started.device), -1)
         return tensordict_reset.set(self.command_key, self.command)
 
@@ -264,10 +270,10 @@ class CommandCurriculum(Transform):
         scores = [next_tensordict.get(key, None) for key in self.in_keys]
         for key, score in zip(self.in_keys, scores):
             if score is None:
-                raise KeyError(
-                    f"tracking key {key!r} is not in the step's output; pass tracking_keys naming some of "
-                    f"{sorted(map(str, next_tensordict.keys(True, True)))}"
-                )
+                raise KeyError(f"tracking key {key!r} is not in the step's output; {_similar(key, next_tensordict)}")
+            if score.numel() != len(self.rows.elapsed):
+                needed = (*next_tensordict.batch_size, 1)
+                raise ValueError(f"tracking key {key!r} has shape {tuple(score.shape)}; a score needs {needed}")
         return torch.cat([score.reshape(-1, 1) for score in scores], -1)
 
     def _close_windows(self, due: Tensor, next_tensordict: TensorDictBase) -> None:
@@ -286,3 +292,8 @@ class CommandCurriculum(Transform):
             commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
             self.rows.command[index] = commands.to(self.rows.command.dtype)
             self.rows.cells[index] = cells
+
+
+def _similar(key: NestedKey, tensordict: TensorDictBase) -> str:
+    roots = f"there are {', '.join(tensordict.keys())}"
+    return nearest(str(key), map(str, tensordict.keys(True, True)), otherwise=roots)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, NoReturn
 
 import torch
@@ -91,8 +92,7 @@ class ObservationHistory(Transform):
             KeyError: The environment emits no such observation.
         """
         if self.in_keys[0] not in observation_spec.keys(True, True):
-            known = sorted(map(str, observation_spec.keys(True, True)))
-            raise KeyError(f"observation {self.in_keys[0]!r} is not among {known}; name one of these as in_key")
+            raise KeyError(self._absent(observation_spec.keys(True, True)))
         frame = observation_spec[self.in_keys[0]]
         shape = (*frame.shape[:-1], self.length, frame.shape[-1])
         observation_spec[self.out_keys[0]] = frame.unsqueeze(-2).expand(shape).clone()
@@ -108,7 +108,14 @@ class ObservationHistory(Transform):
         self._frames = frames if frames is None else frames.to(device or frames.device, copy=True)
 
     def _observation(self, tensordict: TensorDictBase) -> Tensor:
-        return tensordict.get(self.in_keys[0]).unsqueeze(-2)
+        observation = tensordict.get(self.in_keys[0], None)
+        if observation is None:
+            raise KeyError(self._absent(tensordict.keys(True, True)))
+        return observation.unsqueeze(-2)
+
+    def _absent(self, keys: Iterable[NestedKey]) -> str:
+        known = [key for key in keys if isinstance(key, str)]
+        return f"observation {self.in_keys[0]!r} is not among the env's entries {known}; name one of these as in_key"
 
     def _emit(self, tensordict: TensorDictBase) -> TensorDictBase:
         assert self._frames is not None

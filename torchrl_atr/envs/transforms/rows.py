@@ -8,6 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchrl_atr._errors import InputError
+
 _FIELDS = ("command", "cells", "elapsed", "sums", "pinned")
 
 
@@ -74,8 +76,12 @@ class CommandRows(nn.Module):
         if command.shape not in ((axes,), (*self.batch, axes)):
             allowed = f"({axes},) or {(*self.batch, axes)}"
             raise ValueError(f"command must have shape {allowed}, got {tuple(command.shape)}")
-        if not bool((command.abs() <= command.new_tensor(bounds)).all()):
-            raise ValueError(f"command must be finite and within +-{tuple(bounds)} (m/s, rad/s)")
+        fits = (command.abs() <= command.new_tensor(bounds)).all(-1)
+        if not bool(fits.all()):
+            wrong = command.reshape(-1, axes)[~fits.reshape(-1)][0].tolist()
+            raise InputError(
+                f"command {wrong} must be finite and within ±{tuple(bounds)} (m/s, rad/s), the grid's bounds"
+            )
         rows = self.mask(mask)
         self.command = torch.where(rows[:, None], command.reshape(-1, axes), self.command)
         self.cells = self.cells.masked_fill(rows, -1)

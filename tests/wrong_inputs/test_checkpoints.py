@@ -1,0 +1,107 @@
+"""Wrong checkpoints: whoever reads a run says what is wrong with it, and leaves it as it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+NAME = "checkpoint.pt"
+
+
+class Code:
+    """Runs a command when it is unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self):
+        return os.system, (f"touch {self.trace}",)
+
+
+def _settings(**changes: object) -> Callable[[dict], object]:
+    return lambda state: state["config"].update(changes)
+
+
+def _drop(*path: str) -> Callable[[dict], object]:
+    def drop(state: dict) -> None:
+        for name in path[:-1]:
+            state = state[name]
+        del state[path[-1]]
+
+    return drop
+
+
+def _fill(value: float) -> Callable[[dict], object]:
+    return lambda state: state["learner"]["networks"]["encoder.net.0.weight"].fill_(value)
+
+
+@pytest.mark.parametrize(
+    ("change", "culprit", "remedy"),
+    [
+        (lambda state: state.update(version=99), "version 99; this code reads version 1", "use the torchrl_atr"),
+        (_drop("version"), "is not a checkpoint of ours", "give a run folder"),
+        (_drop("learner", "networks"), "lacks 'learner/networks'", "give a folder that"),
+        (_drop("config"), "lacks 'config'", "give a folder that"),
+        (_settings(critic_cells=[32]), "critic.net.0.weight is (8, ", "use the code, the settings"),
+        (_settings(estimator="mlp"), "intrinsic_estimator.net", "use the code, the settings"),
+        (_settings(history_length=3), "do not fit its settings: intrinsic_est", "use the code, the settings"),
+        (_settings(estimator="my_own"), "unknown estimator 'my_own'", "register_estimator"),
+        (_settings(imports=["no_such_module"]), "cannot import 'no_such_module'", "run where it can be found"),
+        (_settings(robot="/gone/mine.toml"), "no robot file /gone/mine.toml", "check its path"),
+        (_settings(tomorrows_setting=1), "unknown setting 'tomorrows_setting'", "list settings"),
+        (_fill(float("nan")), "NaN or infinity in encoder.net.0.weight", "use an earlier checkpoint"),
+    ],
+)
+@pytest.mark.parametrize("command", [("train", "--resume"), ("evaluate",)], ids=["resume", "evaluate"])
+def test_another_content_is_refused(refused, tmp_path, untouched_run, command, change, culprit, remedy):
+    state = torch.load(untouched_run / NAME, weights_only=True)
+    change(state)
+    torch.save(state, tmp_path / NAME)
+    refused([*command, tmp_path], culprit, remedy)
+    assert [file.name for file in tmp_path.iterdir()] == [NAME]
+
+
+def _cut(data: bytes) -> bytes:
+    return data[: len(data) // 2]
+
+
+def _flip(data: bytes) -> bytes:
+    middle = len(data) // 2
+    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+
+
+@pytest.mark.parametrize("damage", [_cut, _flip, lambda data: b"", lambda data: b"frames,reward\n1,2\n"])
+def test_a_damaged_file_is_refused(refused, tmp_path, untouched_run, damage):
+    data = damage((untouched_run / NAME).read_bytes())
+    (tmp_path / NAME).write_bytes(data)
+    refused(["evaluate", tmp_path], f"the checkpoint {tmp_path / NAME} cannot be read", "restore the file")
+    assert (tmp_path / NAME).read_bytes() == data
+
+
+def test_code_is_not_run(refused, tmp_path):
+    trace = tmp_path / "was_here"
+    torch.save({"version": 1, "config": Code(trace)}, tmp_path / NAME)
+    refused(["play", tmp_path], "more than tensors and numbers", "give a checkpoint that")
+    assert not trace.exists()
+
+
+@pytest.mark.parametrize("folder", ["nowhere", "."])
+def test_a_folder_without_a_checkpoint_is_refused(refused, tmp_path, folder):
+    refused(["train", "--resume", tmp_path / folder], f"no checkpoint at {tmp_path}", "give a run folder")
+
+
+def test_a_run_trained_elsewhere_is_evaluated_and_resumed_on_the_cpu(refused, tmp_path, untouched_run, capsys):
+    state = torch.load(untouched_run / NAME, weights_only=True)
+    state["config"]["device"] = "cuda:99"
+    state["frames"] = state["config"]["total_frames"]
+    torch.save(state, tmp_path / NAME)
+    refused(["play", tmp_path, "--video", "ride.avi"], "'ride.avi'", ".mp4")  # its networks were loaded before
+    refused(["train", "--resume", tmp_path], "device='cuda:99'", "use 'cpu'")
+    from torchrl_atr.cli import main
+
+    assert main(["train", "--resume", str(tmp_path), "--device", "cpu"]) == 0
+    assert "has ended; to go on, give a larger --total-frames" in capsys.readouterr().out

@@ -1,0 +1,39 @@
+"""Wrong configuration files."""
+
+from __future__ import annotations
+
+import pytest
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "culprit", "remedy"),
+    [
+        ("recipe.toml", None, "no configuration file", "check its path"),
+        ("recipe.yaml", "gamma: 0.9", "recipe.yaml", "use a .toml or .json file"),
+        ("recipe.toml", "gamma 0.9", "recipe.toml is not valid TOML", "at line 1, column 7"),
+        ("recipe.toml", "gamma = 0.9\ngamma = 0.8\n", "recipe.toml is not valid TOML", "at line 2"),
+        ("recipe.json", '{"gamma": 0.9,}', "recipe.json is not valid JSON", "line 1 column 15"),
+        ("recipe.json", "[0.9]", "recipe.json holds a list", '{"gamma": 0.99}'),
+        ("recipe.toml", "learnin_rate = 1e-3", "'learnin_rate'", "did you mean 'learning_rate'?"),
+        ("recipe.toml", "[ppo]\ngamma = 0.9", "unknown section [ppo]", "at the top of the file"),
+        ("recipe.toml", "[gamma]\nvalue = 0.9", "gamma={'value': 0.9}", "a number such as"),
+        ("recipe.toml", 'gamma = "high"', "gamma='high'", "a number such as"),
+        ("recipe.toml", "num_envs = 2.5", "num_envs=2.5", "a whole number such as"),
+        ("recipe.toml", "num_envs = true", "num_envs=True", "a whole number such as"),
+        ("recipe.toml", "dead_reckoning = 1", "dead_reckoning=1", "true or false"),
+        ("recipe.toml", "critic_cells = 256", "critic_cells=256", "a list such as"),
+        ("recipe.toml", "critic_cells = [256, 'x']", "critic_cells=[256, 'x']", "a list such as"),
+        ("recipe.toml", "imports = [3]", "imports=[3]", "a list such as my_module"),
+        ("recipe.json", '{"robot": null}', "robot=None", "a text such as a1"),
+        ("recipe.toml", 'robot = "mine.toml"', "no robot file mine.toml", "check its path"),
+        ("recipe.toml", "command_seconds = 9", "episode_seconds=5", "at least command_seconds=9"),
+        ("recipe.toml", "score_from_seconds = 4.99", "score_from_seconds=4.99", "below command_seconds=5"),
+    ],
+)
+def test_refused(refused, tmp_path, monkeypatch, name, text, culprit, remedy):
+    monkeypatch.chdir(tmp_path)
+    if text is not None:
+        (tmp_path / name).write_text(text)
+    before = list(tmp_path.iterdir())
+    refused(["train", "--config", tmp_path / name], culprit, remedy)
+    assert list(tmp_path.iterdir()) == before

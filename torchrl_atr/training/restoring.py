@@ -1,0 +1,78 @@
+"""What a checkpoint must hold, and fit, before a run is built on it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from torchrl_atr._errors import UserError
+from torchrl_atr.training.checkpoint import CheckpointError
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_io import make_config
+
+_PARTS = (
+    ("config",),
+    ("learner", "networks"),
+    ("learner", "optimizers"),
+    ("curriculum", "weights"),
+    ("frames",),
+    ("rng",),
+    ("provenance",),
+)
+"""What everything that reads a run relies on."""
+
+
+def run_config(state: Mapping[str, Any], run: Path, **changed: Any) -> TrainConfig:
+    """The settings of a checkpoint, some of them changed.
+
+    Args:
+        state: from :func:`~torchrl_atr.training.load_checkpoint`.
+        run: where it is from, for messages.
+        **changed: settings to replace.
+
+    Raises:
+        CheckpointError: if a part is missing, or a setting does not work with this code or on this machine.
+    """
+    for path in _PARTS:
+        part: Any = state
+        for name in path:
+            if not isinstance(part, Mapping) or name not in part:
+                raise CheckpointError(
+                    f"the checkpoint in {run} lacks {'/'.join(path)!r}; give a folder that `torchrl-atr train` wrote"
+                )
+            part = part[name]
+    try:
+        return make_config({**state["config"], **changed})
+    except UserError as error:
+        raise CheckpointError(f"the settings of {run} do not work here: {error}") from error
+
+
+def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) -> None:
+    """Loads trained networks, or says in a line why they do not fit.
+
+    Args:
+        networks: made by the run's settings.
+        weights: their ``state_dict`` from the checkpoint.
+        run: where it is from, for messages.
+
+    Raises:
+        CheckpointError: if names or shapes differ, or a number is not finite.
+    """
+    here = {name: tuple(value.shape) for name, value in networks.state_dict().items()}
+    there = {name: tuple(value.shape) for name, value in weights.items()}
+    different = [name for name in {**here, **there} if here.get(name) != there.get(name)]
+    if different:
+        name = different[0]
+        raise CheckpointError(
+            f"the networks in {run} do not fit its settings: {name} is {there.get(name, 'missing')} in the file and "
+            f"{here.get(name, 'missing')} here ({len(different)} differ); use the code, the settings and the estimator "
+            "that trained them"
+        )
+    for name, value in weights.items():
+        if not torch.isfinite(value).all():
+            raise CheckpointError(f"the networks in {run} hold a NaN or infinity in {name}; use an earlier checkpoint")
+    networks.load_state_dict(dict(weights))
