@@ -267,6 +267,19 @@ def play(arguments: argparse.Namespace) -> None:
         sys.stdout.write(f"wrote {arguments.video}\n")
 
 
+def replay(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr replay``."""
+    from torchrl_atr.evaluation import replay as replayed
+
+    sys.stdout.write(f"{'step':>6}{'v, m/s':>10}{'w, rad/s':>10}{'tilt, rad':>11}{'max |qvel|':>12}{'max |a|':>9}\n")
+    for step in replayed(arguments.dump, arguments.video):
+        figures = f"{step.speed:10.3f}{step.yaw_rate:10.3f}{step.tilt:11.3f}{step.largest_velocity:12.4g}"
+        failed = "  failed" if step.diverged else ""
+        sys.stdout.write(f"{step.step:6d}{figures}{step.largest_action:9.3f}{failed}\n")
+    if arguments.video is not None:
+        sys.stdout.write(f"wrote {arguments.video}\n")
+
+
 def write_model(arguments: argparse.Namespace) -> None:
     """``torchrl-atr model``."""
     from torchrl_atr.envs import Readings, get_robot, get_transporter
@@ -287,7 +300,14 @@ def _list(arguments: argparse.Namespace) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-_COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play, "model": write_model, "list": _list}
+_COMMANDS: dict[str, Any] = {
+    "train": train,
+    "evaluate": evaluate,
+    "play": play,
+    "replay": replay,
+    "model": write_model,
+    "list": _list,
+}
 
 
 def _refuse(arguments: argparse.Namespace, text: str) -> None:

@@ -29,6 +29,7 @@ def make_riding_env(
     moving_start: float = 0.0,
     retry: float = 0.0,
     seed: int | None = None,
+    dump_dir: str | Path | None = None,
     history_length: int = 10,
     max_steps: int = 1000,
     window: int = 250,
@@ -50,6 +51,7 @@ def make_riding_env(
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         retry: share of the falls after which the same robot tries again with its intrinsics (for training).
         seed: of env and curriculum alike, since ``env.set_seed`` does not reach transforms.
+        dump_dir: where the last second of a simulation that failed is written; None for nowhere.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
         window: control steps that a command lasts (5 s at 50 Hz).
@@ -77,6 +79,7 @@ def make_riding_env(
         moving_start=moving_start,
         retry=retry,
         seed=seed,
+        dump_dir=dump_dir,
     )
     dt = CONTROL_DT if env.readings.rewards_times_dt else 1.0
     transforms = riding_transforms(

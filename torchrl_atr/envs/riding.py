@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,10 +17,13 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models import RobotSpec, Scene, TransporterSpec, build_scene, get_robot, get_transporter
 from torchrl_atr.envs.physics.engine import DECIMATION, Engine
 from torchrl_atr.envs.profiles import Readings, get_readings
+from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
 from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task import rewards
-from torchrl_atr.envs.task.core import COMMAND_FEATURES, RidingTask
+from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
+from torchrl_atr.envs.task.guard import not_finite
 
+_LOG = logging.getLogger(__name__)
 PhysicsEngine = Literal["batch", "dm_control"]
 
 
@@ -43,6 +47,11 @@ class RidingEnv(EnvBase):
         retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again (for
             training).
         seed: of intrinsics, initial states and pushes.
+        dump_dir: where the last second of a simulation that failed is written, for ``torchrl-atr replay``; None for
+            nowhere.
+
+    A simulation that diverges, or an observation or reward that is not finite, ends that robot's episode as terminated,
+    with zeros where there was no number, and is counted and logged; the others do not notice.
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
@@ -78,6 +87,7 @@ class RidingEnv(EnvBase):
         moving_start: float = 0.0,
         retry: float = 0.0,
         seed: int | None = None,
+        dump_dir: str | Path | None = None,
     ) -> None:
         if not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs={num_envs!r}: choose a whole number of robots, 1 or more")
@@ -94,6 +104,9 @@ class RidingEnv(EnvBase):
             self.set_seed(seed)
         engine = _make_engine(physics, scene, readings, num_envs, num_threads)
         self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start, retry)
+        self._recorder = None
+        if dump_dir is not None:
+            self._recorder = FlightRecorder(self.task, describe_scene(self.task, robot), Path(dump_dir))
         self._emitted = self.task.observe(torch.zeros(num_envs, len(COMMAND_FEATURES)))
         self._make_specs()
 
@@ -119,7 +132,7 @@ class RidingEnv(EnvBase):
 
     @property
     def num_diverged(self) -> int:
-        """Simulations that have diverged so far; each ended its own episode."""
+        """Robots whose simulation, observations or rewards have failed so far; each ended its own episode."""
         return self.task.num_diverged
 
     def _make_specs(self) -> None:
@@ -165,10 +178,29 @@ class RidingEnv(EnvBase):
         if action is None:
             raise KeyError("there is no 'action'; run a policy that writes it, or set it, before env.step")
         self.task.act(action)
+        if self._recorder is not None:
+            self._recorder.note(action)
         self.engine.advance(DECIMATION)
         outcome = self.task.judge(command)
         self._emitted = self.task.observe(command, outcome.state)
+        self._contain(outcome)
         return self._pack(self._emitted, outcome.terminated, outcome.terms).set("reward", outcome.reward)
+
+    def _contain(self, outcome: Outcome) -> None:
+        """Ends the episodes of robots that failed, with zeros instead of what is no number."""
+        terms = {("reward_terms", name): term for name, term in outcome.terms.items()}
+        failed = not_finite({**self._emitted, **terms})
+        for row in failed:
+            for value in (*self._emitted.values(), *outcome.terms.values(), outcome.reward):
+                value[row] = value[row].nan_to_num(0.0, 0.0, 0.0)
+            outcome.terminated[row] = True
+        reasons = dict.fromkeys(self.engine.diverged.nonzero()[0].tolist(), "its simulation diverged")
+        reasons |= {row: f"{name!r} is not finite" for row, name in failed.items()}
+        self.task.num_diverged += len(reasons)
+        for row, reason in reasons.items():
+            path = None if self._recorder is None else self._recorder.dump(row, reason)
+            hint = "" if path is None else f"; see it with: torchrl-atr replay {path}"
+            _LOG.warning("env id %d: %s, its episode ends%s", row, reason, hint)
 
     def _command(self, tensordict: TensorDictBase | None) -> Tensor:
         shape = (*self.batch_size, len(COMMAND_FEATURES))

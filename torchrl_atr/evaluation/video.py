@@ -87,21 +87,18 @@ def record_video(
     Example:
         >>> record_video(networks.deployed_policy(), env, "ride.mp4")  # doctest: +SKIP
     """
-    codec = _SUFFIXES.get(Path(path).suffix.lower())
-    if codec is None:
-        raise InputError(f"cannot write {Path(path).name!r}; choose a name that ends in {' or '.join(_SUFFIXES)}")
+    check_suffix(path)
     if not commands or not seconds >= CONTROL_DT or not fps > 0:
         raise InputError(
             f"a video of {seconds:g} s with {fps:g} pictures a second and {len(commands)} commands cannot be; give at "
             f"least one command, {CONTROL_DT:g} s and a positive fps"
         )
-    media = _mediapy()
     every = max(1, round(1.0 / (fps * CONTROL_DT)))
-    period, shape, frames, falls = every * CONTROL_DT, (size[1], size[0]), 0, 0
+    period, frames, falls = every * CONTROL_DT, 0, 0
     with (
         Picture(env, size, camera) as picture,
         atomic(path) as file,
-        media.VideoWriter(file, shape, fps=1.0 / period, codec=codec) as writer,
+        video_writer(file, Path(path).suffix, 1.0 / period, size) as writer,
     ):
         for step, (command, fell) in enumerate(ride(policy, env, commands, round(seconds / CONTROL_DT)), start=1):
             falls += fell
@@ -155,6 +152,31 @@ def _caption(time: float, command: tuple[float, float], speeds: Sequence[float],
     if falls:
         rows["falls"] = str(falls)
     return "\n".join(rows), "\n".join(rows.values())
+
+
+def check_suffix(path: str | Path) -> None:
+    """Refuses a video of an unknown kind before anything is simulated.
+
+    Raises:
+        InputError: names the known ones.
+    """
+    if Path(path).suffix.lower() not in _SUFFIXES:
+        raise InputError(f"cannot write {Path(path).name!r}; choose a name that ends in {' or '.join(_SUFFIXES)}")
+
+
+def video_writer(file: Path, suffix: str, fps: float, size: tuple[int, int] = (640, 480)) -> Any:
+    """A context manager with ``add_image(picture)``.
+
+    Args:
+        file: what it writes.
+        suffix: ``.mp4`` or ``.gif``.
+        fps: pictures per second.
+        size: width and height, pixels.
+
+    Raises:
+        ImportError: if mediapy or imageio-ffmpeg is missing.
+    """
+    return _mediapy().VideoWriter(file, (size[1], size[0]), fps=fps, codec=_SUFFIXES[suffix.lower()])
 
 
 def _mediapy() -> Any:

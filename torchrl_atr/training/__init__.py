@@ -4,6 +4,7 @@ from torchrl_atr.training.assembly import DEPLOYED, load_run, make_env, make_run
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.config_io import make_config, read_config
+from torchrl_atr.training.guard import TrainingDiverged
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.recipes import RECIPE_POINTS
 from torchrl_atr.training.restoring import run_config
@@ -17,6 +18,7 @@ __all__ = [
     "Learner",
     "TrainConfig",
     "Trainer",
+    "TrainingDiverged",
     "load_checkpoint",
     "load_run",
     "make_config",

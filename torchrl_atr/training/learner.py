@@ -15,6 +15,10 @@ from torchrl.objectives.value import GAE
 from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import LinearSchedule, ROAClipPPOLoss
 from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.guard import StepGuard
+
+_TOO_FAR = 5.0
+"""Multiples of the KL target at which the rest of an iteration's policy steps is left out."""
 
 
 class Learner:
@@ -66,6 +70,7 @@ class Learner:
         self.optimizers = {name: torch.optim.Adam(group, lr=rates[name]) for name, group in self._groups.items()}
         self.schedule = KLAdaptiveLR(self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate)
         self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa_coeff) if config.roa_ramp else None
+        self.guard = StepGuard()
         size = config.frames_per_batch
         self.buffer = TensorDictReplayBuffer(
             storage=LazyTensorStorage(size, device=config.device),
@@ -95,7 +100,11 @@ class Learner:
             batch: from a collector that ran ``networks.rollout_policy(config.act_source)``.
 
         Returns:
-            Means over the iteration: losses, KL divergence, learning rate, estimator errors.
+            Means over the iteration: losses, KL divergence, learning rate, estimator errors; and ``skipped_steps``, the
+            optimiser steps left out so far because they were not finite.
+
+        Raises:
+            TrainingDiverged: if there is none that is finite any more.
         """
         with torch.no_grad():
             batch = self.advantage(batch.to(self.config.device))
@@ -107,7 +116,8 @@ class Learner:
         adaptation = self._average(self._adaptation_steps())
         self.networks.update_normalizers(flat)
         self.buffer.empty()
-        return {**policy, **adaptation, "learning_rate": self.schedule.get_last_lr()[0]}
+        rate, skipped = self.schedule.get_last_lr()[0], float(self.guard.skipped)
+        return {**policy, **adaptation, "learning_rate": rate, "skipped_steps": skipped}
 
     def _record_latent_estimates(self, flat: TensorDictBase) -> None:
         """ẑ once an iteration, without gradient: what the encoder is pulled towards (Eq. 15's second term)."""
@@ -119,13 +129,18 @@ class Learner:
 
     def _policy_steps(self) -> Iterator[TensorDictBase]:
         fresh = True  # nothing has moved yet: a divergence of zero says nothing about the step size
+        too_far = False  # from the policy that made the batch, which then has nothing more to say
         for _ in range(self.config.epochs):
             for minibatch in self.buffer:
+                if too_far:
+                    continue
                 terms = self.loss.policy_loss(minibatch)
-                if not fresh:
-                    self.schedule.step(_kl_divergence(terms))
-                fresh = False
-                self._step(terms, "policy", "critic")
+                divergence = _kl_divergence(terms)
+                if not fresh and divergence.isfinite():
+                    self.schedule.step(divergence)
+                fresh, too_far = False, bool(divergence > _TOO_FAR * self.schedule.target_kl)
+                if not too_far:
+                    self._step(terms, "policy", "critic")
                 yield terms
 
     def _adaptation_steps(self) -> Iterator[TensorDictBase]:
@@ -140,9 +155,10 @@ class Learner:
         for name in names:
             self.optimizers[name].zero_grad(set_to_none=True)
         total.backward()
-        for name in names:
-            nn.utils.clip_grad_norm_(self._groups[name], self.config.max_grad_norm)
-            self.optimizers[name].step()
+        norms = {name: nn.utils.clip_grad_norm_(self._groups[name], self.config.max_grad_norm) for name in names}
+        if self.guard.admits(terms, norms):
+            for name in names:
+                self.optimizers[name].step()
 
     @staticmethod
     def _average(steps: Iterator[TensorDictBase]) -> dict[str, float]:

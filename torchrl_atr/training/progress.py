@@ -26,6 +26,7 @@ _SHOWN = (
     ("std", "action std", "{:.3f}"),
     ("kl_approx", "KL", "{:.4f}"),
     ("diverged", "diverged simulations", "{:.0f}"),
+    ("skipped_steps", "skipped steps", "{:.0f}"),
 )
 _LINE_SECONDS = 15.0
 """Seconds between lines where there is no terminal to redraw."""

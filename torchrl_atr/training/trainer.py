@@ -45,7 +45,8 @@ class Trainer:
         get_estimator(config.estimator)  # an unknown name is refused before anything is written
         run.mkdir(parents=True, exist_ok=True)
         torch.manual_seed(config.seed)
-        self.env = make_env(config)
+        self._make_env = partial(make_env, config, dump_dir=run / "diverged")
+        self.env = self._make_env()
         self.curriculum = self.env.transform[0]
         scale = CONTROL_DT if self.env.base_env.readings.rewards_times_dt else 1.0
         self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
@@ -91,7 +92,7 @@ class Trainer:
         config = self.config
         policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
         policy = correlate(policy, config.noise_correlation)
-        collection = Collection(config, self.env, partial(make_env, config), policy)
+        collection = Collection(config, self.env, self._make_env, policy)
         if self._state is not None:
             collection.load_state_dict(self._state.get("collection", {}))
             torch.set_rng_state(self._state["rng"])  # last: building all this drew from it

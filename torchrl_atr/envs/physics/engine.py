@@ -219,16 +219,15 @@ class Engine(ABC):
         self.qpos[:, planar] -= offset
         self.qpos[:, layout.root_qpos : layout.root_qpos + 2] -= offset
 
+    @property
+    def live_state(self) -> dict[str, Array]:
+        """The arrays that make up the state, not copied; stale after the next step."""
+        names = ("qpos", "qvel", "ctrl", "warmstart", "speeds", "odometer")
+        return {name: getattr(self, name) for name in names}
+
     def get_state(self) -> dict[str, Array]:
         """Everything a later :meth:`set_state` needs to continue bit for bit (parameters excepted)."""
-        return {
-            "qpos": self.qpos.copy(),
-            "qvel": self.qvel.copy(),
-            "ctrl": self.ctrl.copy(),
-            "warmstart": self.warmstart.copy(),
-            "speeds": self.speeds.copy(),
-            "odometer": self.odometer.copy(),
-        }
+        return {name: array.copy() for name, array in self.live_state.items()}
 
     def set_state(self, state: dict[str, Array]) -> None:
         """Restores a state taken by :meth:`get_state`, on either engine.
@@ -237,14 +236,7 @@ class Engine(ABC):
             KeyError: if a field is missing.
             ValueError: if a field's shape does not fit this engine.
         """
-        live = {
-            "qpos": self.qpos,
-            "qvel": self.qvel,
-            "ctrl": self.ctrl,
-            "warmstart": self.warmstart,
-            "speeds": self.speeds,
-            "odometer": self.odometer,
-        }
+        live = self.live_state
         for name, target in live.items():
             if name not in state:
                 raise KeyError(f"the state lacks {name!r}; it needs {', '.join(live)}")
@@ -253,4 +245,5 @@ class Engine(ABC):
                 raise ValueError(f"state field {name!r} has shape {value.shape}; this engine needs {target.shape}")
             target[...] = value
         self.forward()
-        self.warmstart[...] = state["warmstart"]
+        for name, target in live.items():  # MuJoCo wrote a new warm start, and began anew where a state is not finite
+            target[...] = state[name]

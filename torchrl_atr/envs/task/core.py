@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task import disturbances, observations, rewards
@@ -60,7 +61,7 @@ class RidingTask:
         odometry: body velocity by dead reckoning since the start of the episode, body frame, m/s, (N, 3).
         steps: control steps since the start of the episode, (N,).
         fell: whether the last control step ended the episode, (N,) bool.
-        num_diverged: simulations that have diverged so far.
+        num_diverged: robots that have failed so far, counted by whoever drives the task.
 
     Raises:
         ValueError: for an unknown ``randomization``, or a share outside [0, 1].
@@ -139,7 +140,7 @@ class RidingTask:
             raise ValueError(f"'action' has shape {tuple(action.shape)}; this env needs {needed}: one value per joint")
         if not torch.isfinite(action).all():
             bad = (~torch.isfinite(action)).any(-1).nonzero().squeeze(-1).tolist()
-            raise ValueError(f"'action' is not finite for env ids {bad[:8]}; check the policy that wrote it")
+            raise InputError(f"'action' is not finite for env ids {bad[:8]}; check the policy that wrote it")
         self._push()
         # a copy: callers reuse their buffers
         self._action = action.detach().to(torch.float32, copy=True)
@@ -153,7 +154,6 @@ class RidingTask:
         """
         diverged = torch.from_numpy(self.engine.diverged)
         if diverged.any():  # what came before is no state to take differences to
-            self.num_diverged += int(diverged.sum())
             self._reader.forget(diverged.nonzero().squeeze(-1).numpy())
         state = self._reader.read()
         terminated = fallen(state, self.scene, self.readings) | diverged

@@ -1,0 +1,119 @@
+"""What is no number ends as described: contained, named with its env id, dumped; the other robots do not notice."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs import RidingEnv
+from torchrl_atr.envs.recorder import load_dump
+from torchrl_atr.envs.task import core
+from torchrl_atr.evaluation import replay
+
+BAD, STEP = 2, 7
+OTHERS = [0, 1, 3]
+
+
+def spoil_simulation(env, monkeypatch):
+    env.engine.qpos[BAD, env.scene.layout.joint_qpos[4]] = torch.nan
+
+
+def spoil_observation(env, monkeypatch):
+    proprio = core.observations.proprio
+
+    def spoiled(*arguments):
+        values = proprio(*arguments)
+        values[BAD, 5] = torch.nan
+        return values
+
+    monkeypatch.setattr(core.observations, "proprio", spoiled)
+
+
+def spoil_reward(env, monkeypatch):
+    compute = core.rewards.compute_rewards
+
+    def spoiled(*arguments, **keywords):
+        reward, terms = compute(*arguments, **keywords)
+        reward[BAD] = terms["force_regulation"][BAD] = torch.inf
+        return reward, terms
+
+    monkeypatch.setattr(core.rewards, "compute_rewards", spoiled)
+
+
+def ride(env, monkeypatch, spoil=None, steps=STEP + 1):
+    """Random actions; before the last step something is spoiled."""
+    generator = torch.Generator().manual_seed(0)
+    env.reset()
+    kept = []
+    for step in range(steps):
+        if spoil is not None and step == steps - 1:
+            spoil(env, monkeypatch)
+        action = 0.3 * torch.randn(4, 12, generator=generator)
+        kept.append(env.step(TensorDict({"action": action}, [4]))["next"])
+    return torch.stack(kept, 1)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (spoil_simulation, "its simulation diverged"),
+        (spoil_observation, "'proprio' is not finite"),
+        (spoil_reward, "'reward_terms/force_regulation' is not finite"),
+    ],
+)
+def test_it_is_contained_named_and_dumped(spoil, reason, tmp_path, monkeypatch, caplog):
+    calm = ride(RidingEnv(num_envs=4, seed=0), monkeypatch)
+    env = RidingEnv(num_envs=4, seed=0, dump_dir=tmp_path)
+    with caplog.at_level(logging.WARNING, logger="torchrl_atr"):
+        wild = ride(env, monkeypatch, spoil)
+    for key in wild.keys(True, True):
+        assert torch.isfinite(wild[key].float()).all(), key
+        assert torch.equal(wild[key][OTHERS], calm[key][OTHERS]), key
+    assert wild["terminated"][:, -1, 0].tolist() == [False, False, True, False]
+    assert env.num_diverged == 1
+    (path,) = tmp_path.iterdir()
+    assert f"env id {BAD}: {reason}" in caplog.text
+    assert str(path) in caplog.text
+    dump = load_dump(path)
+    assert (dump["env_id"], dump["step"], dump["reason"]) == (BAD, STEP + 1, reason)
+    assert dump["actions"].shape == (STEP + 1, 12)
+
+
+def test_a_replay_is_what_happened(tmp_path, monkeypatch):
+    env = RidingEnv(num_envs=4, seed=0, dump_dir=tmp_path)
+    wild = ride(env, monkeypatch, spoil_simulation)
+    (path,) = tmp_path.iterdir()
+    steps = list(replay(path))
+    assert [step.step for step in steps] == list(range(1, STEP + 2))
+    assert [step.diverged for step in steps] == [False] * STEP + [True]
+    for index, step in enumerate(steps[:-1]):
+        assert (step.speed, step.yaw_rate) == pytest.approx(wild["speeds"][BAD, index].tolist(), abs=1e-6)
+
+
+def test_the_recorder_forgets_what_is_old(tmp_path, monkeypatch):
+    env = RidingEnv(num_envs=4, seed=0, dump_dir=tmp_path)
+    env._recorder.length = 3
+    ride(env, monkeypatch, spoil_simulation)
+    (path,) = tmp_path.iterdir()
+    assert len(load_dump(path)["actions"]) == 3
+    assert [step.step for step in replay(path)] == [STEP - 1, STEP, STEP + 1]
+
+
+def test_an_action_that_is_no_number_is_refused_by_name():
+    env = RidingEnv(num_envs=4, seed=0)
+    action = torch.zeros(4, 12)
+    action[BAD, 3] = torch.nan
+    with pytest.raises(InputError, match=rf"'action' is not finite for env ids \[{BAD}\]"):
+        env.step(env.reset().set("action", action))
+
+
+def test_what_is_no_dump_is_named(tmp_path):
+    with pytest.raises(InputError, match="there is no dump at"):
+        list(replay(tmp_path / "none.pt"))
+    torch.save({"weights": torch.zeros(2)}, tmp_path / "other.pt")
+    with pytest.raises(InputError, match=r"other\.pt is not a dump of a diverged simulation"):
+        list(replay(tmp_path / "other.pt"))

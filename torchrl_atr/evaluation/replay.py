@@ -1,0 +1,105 @@
+"""A failed simulation once more: each recorded control step from the state that it began from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchrl_atr._files import atomic
+from torchrl_atr.envs import Readings, RidingEnv
+from torchrl_atr.envs.physics.engine import DECIMATION
+from torchrl_atr.envs.recorder import load_dump
+from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.evaluation.rendering import Picture
+from torchrl_atr.evaluation.video import check_suffix, video_writer
+
+
+@dataclass(frozen=True)
+class ReplayedStep:
+    """One control step of a dump, simulated again.
+
+    Attributes:
+        step: since the start of the episode.
+        speed, yaw_rate: of the transporter after it, m/s and rad/s.
+        tilt: the larger of the deck's two hinge angles, rad.
+        largest_velocity: of all of MuJoCo's ``qvel`` after it, m/s or rad/s.
+        largest_action: of the twelve, in units of the action scale.
+        diverged: whether the simulation failed in it.
+    """
+
+    step: int
+    speed: float
+    yaw_rate: float
+    tilt: float
+    largest_velocity: float
+    largest_action: float
+    diverged: bool
+
+
+def replay(path: str | Path, video: str | Path | None = None) -> Iterator[ReplayedStep]:
+    """Steps through a dump that a :class:`~torchrl_atr.envs.RidingEnv` with a ``dump_dir`` wrote.
+
+    Args:
+        path: the dump.
+        video: ``.mp4`` or ``.gif``, written slowed down ten times; None for no pictures.
+
+    Yields:
+        The recorded steps, oldest first; the last one is the step that failed.
+
+    Raises:
+        InputError: if it is no dump, or the video has another suffix.
+        UnknownNameError: if its robot or transporter is not registered here.
+        DisplayError: if there is a video to make and nothing here can render.
+    """
+    dump = load_dump(Path(path))
+    if video is not None:
+        check_suffix(video)
+    env = RidingEnv(
+        dump["scene"]["robot"],
+        dump["scene"]["transporter"],
+        num_envs=1,
+        profile=Readings(**dump["scene"]["readings"]),
+        randomization="off",
+        pushes=False,
+        num_threads=1,
+        seed=0,
+    )
+    steps = _steps(env, dump)
+    if video is None:
+        yield from steps
+        return
+    with (
+        Picture(env) as picture,
+        atomic(video) as file,
+        video_writer(file, Path(video).suffix, fps=0.1 / CONTROL_DT) as writer,
+    ):
+        for step in steps:
+            text = f"step {step.step}" + ("\nfailed: " + dump["reason"] if step.diverged else "")
+            writer.add_image(picture.render(text, dt=10 * CONTROL_DT))
+            yield step
+
+
+def _steps(env: RidingEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:
+    engine, states, actions = env.engine, dump["states"], dump["actions"]
+    idle = env.task.get_state()
+    for index, action in enumerate(actions):
+        begun = {name: value[index].unsqueeze(0) for name, value in states.items()}
+        env.task.set_state({**idle, **begun, "x_int": dump["x_int"].unsqueeze(0)})
+        engine.time[...] = dump["step"]  # any but 0: MuJoCo starts it anew where it resets a simulation, which shows
+        engine.advance(DECIMATION)
+        tilt = engine.qpos[0, engine.scene.layout.tilt_qpos]
+        last = index == len(actions) - 1
+        yield ReplayedStep(
+            step=dump["step"] - len(actions) + 1 + index,
+            speed=float(engine.speeds[0, 0]),
+            yaw_rate=float(engine.speeds[0, 1]),
+            tilt=float(np.abs(tilt).max()),
+            largest_velocity=float(np.abs(engine.qvel[0]).max()),
+            largest_action=float(torch.as_tensor(action).abs().max()),
+            diverged=bool(engine.diverged[0]) or (last and "not finite" in dump["reason"]),
+        )
