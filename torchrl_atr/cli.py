@@ -1,4 +1,4 @@
-"""``torchrl-atr``: train | evaluate | play | model | list."""
+"""``torchrl-atr``: train | evaluate | play | model | bench | list."""
 
 from __future__ import annotations
 
@@ -49,6 +49,9 @@ def build_parser() -> argparse.ArgumentParser:
     model.add_argument("robot", help="a name, or a .toml file that describes one of your own")
     model.add_argument("transporter")
     model.add_argument("--output", type=Path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer")
+    bench = commands.add_parser("bench", help="measure speed against limits and peers (from a clone)")
+    bench.add_argument("--quick", action="store_true", help="tiny sizes: shows that it works, measures nothing")
+    bench.add_argument("--output", type=Path, default=Path("results/bench"), metavar="DIR")
     listing = commands.add_parser("list", help="list what is registered")
     listing.add_argument("what", choices=sorted(LISTINGS))
     return parser
@@ -192,11 +195,31 @@ def write_model(arguments: argparse.Namespace) -> None:
     sys.stdout.write(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter\n")
 
 
+def bench(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr bench``: its code stands beside the package in a clone, outside of what is installed."""
+    root = Path(__file__).parents[1]
+    if not (root / "benchmarks" / "bench.py").is_file():
+        raise UserError("the benchmark is not part of the installed package; run it from a clone, after scripts/setup")
+    sys.path.insert(0, str(root))
+    from benchmarks.bench import FULL, QUICK, run
+
+    command = "torchrl-atr bench --quick" if arguments.quick else "torchrl-atr bench"
+    run(QUICK if arguments.quick else FULL, arguments.output, command)
+    sys.stdout.write(f"{(arguments.output / 'bench.md').read_text()}report in {arguments.output}\n")
+
+
 def _list(arguments: argparse.Namespace) -> None:
     sys.stdout.writelines(f"{line}\n" for line in LISTINGS[arguments.what]())
 
 
-_COMMANDS: dict[str, Any] = {"train": train, "evaluate": evaluate, "play": play, "model": write_model, "list": _list}
+_COMMANDS: dict[str, Any] = {
+    "train": train,
+    "evaluate": evaluate,
+    "play": play,
+    "model": write_model,
+    "bench": bench,
+    "list": _list,
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:

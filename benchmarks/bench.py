@@ -1,0 +1,155 @@
+"""The benchmark: everything that is compared takes turns in one run."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks import contenders, report, summary
+from benchmarks.memory import peak_memory
+from benchmarks.peers import available
+from benchmarks.timing import Contender, Key, interleave, medians
+from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
+from torchrl_atr.training import TrainConfig
+from torchrl_atr.training.provenance import provenance
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is measured, and how often.
+
+    Attributes:
+        cpus: threads and worker processes; 0 for the CPUs this process may use.
+        num_envs: N of the layers; one of ``sizes``.
+        sizes: N, for cost and peak memory.
+        training_sizes: N that are trained, the recipe's first; each one of ``sizes``.
+        training_steps: control steps of an iteration, the recipe's.
+        collect_steps: control steps of a batch where nothing is trained.
+        rounds: samples of each contender.
+        seconds: least time of a sample.
+        profiled: iterations that are profiled.
+    """
+
+    cpus: int = 0
+    num_envs: int = 1024
+    sizes: tuple[int, ...] = (64, 256, 1024, 4096)
+    training_sizes: tuple[int, ...] = (256, 64, 1024)
+    training_steps: int = 24
+    collect_steps: int = 8
+    rounds: int = 7
+    seconds: float = 0.5
+    profiled: int = 8
+
+
+FULL = Plan()
+QUICK = Plan(
+    cpus=1,
+    num_envs=8,
+    sizes=(8,),
+    training_sizes=(8,),
+    training_steps=4,
+    collect_steps=2,
+    rounds=2,
+    seconds=0.05,
+    profiled=1,
+)
+
+
+def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
+    """Measures everything and writes ``bench.json`` and ``bench.md``.
+
+    Args:
+        plan: :data:`FULL` or :data:`QUICK`.
+        folder: for the two files; made if missing.
+        command: to be written beside the figures.
+
+    Returns:
+        What ``bench.json`` holds.
+    """
+    load = os.getloadavg()[0]
+    threads = plan.cpus or len(os.sched_getaffinity(0))
+    plan = dataclasses.replace(plan, cpus=threads)
+    results: dict[str, Any] = {"command": command, "date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"}
+    origin = provenance(TrainConfig(), frames=0, seconds=0.0)
+    hardware = {**origin["hardware"], "torch_threads": torch.get_num_threads(), "load_before": load}
+    results |= {"machine": hardware, "versions": origin["versions"], "plan": dataclasses.asdict(plan)}
+    results["memory"] = _memory(plan)
+    peers, results["skipped"] = available()
+    with ExitStack() as stack:
+        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+
+        def opened(make: Callable[..., Contender], *arguments: Any) -> Contender:
+            contender = make(*arguments)
+            stack.callback(contender.close)
+            return contender
+
+        loops = [_loop(plan, size, scratch) for size in plan.training_sizes]
+        field = [opened(loop.contender, threads) for loop in loops]
+        field.append(opened(matrix_products, loops[0], threads))
+        field += [opened(make, *arguments) for make, *arguments in _layers(plan, threads)]
+        field += [opened(peer, threads) for peer in peers]
+        rates = interleave(field, plan.rounds, plan.seconds, _say)
+        _say("profiling")
+        flops, phases = flops_per_frame(loops[0]), profile(loops[0], plan.profiled)
+    median = medians(rates)
+    (products,) = (key for key in rates if key.name == "matrix_products")
+    results["rates"] = summary.rate_records(rates)
+    results["ladder"] = summary.ladder(median, plan.num_envs, threads)
+    results["compute"] = {"flops_per_frame": flops, "flops_per_second": median[products], "rows": products.num_envs}
+    results["training"] = summary.training(median, flops)
+    results["peers"] = summary.peers(median, Key("free", plan.num_envs, threads))
+    results["scaling"] = summary.scaling(median)
+    results["profile"] = {
+        "num_envs": plan.training_sizes[0],
+        "phases": [{"stage": stage, "name": name, "seconds": value} for (stage, name), value in phases.items()],
+    }
+    results["machine"]["load_after"] = os.getloadavg()[0]
+    report.write(results, folder)
+    return results
+
+
+def _memory(plan: Plan) -> list[dict[str, float]]:
+    rows = []
+    for size in plan.sizes:
+        _say(f"peak memory of {size} robots")
+        rows.append(peak_memory(size, plan.training_steps))
+    return rows
+
+
+def _loop(plan: Plan, size: int, scratch: Path) -> TrainingLoop:
+    config = TrainConfig(num_envs=size, rollout_steps=plan.training_steps)
+    return TrainingLoop(config, scratch / str(size))
+
+
+def _layers(plan: Plan, cpus: int) -> list[tuple[Any, ...]]:
+    """Makers of ours with their arguments: all layers once, the lower ones at every size and number of threads."""
+    steps, powers = plan.collect_steps, [2**k for k in range(cpus.bit_length()) if 2**k < cpus]
+    points = [(size, cpus) for size in plan.sizes] + [(plan.num_envs, threads) for threads in powers]
+    makers: list[tuple[Any, ...]] = []
+    for point in points:
+        makers += [
+            (contenders.physics, *point),
+            (contenders.bare, *point),
+            (contenders.free, *point, steps),
+        ]
+    return [
+        *makers,
+        (contenders.transformed, plan.num_envs, cpus),
+        (contenders.deployed, plan.num_envs, cpus, steps),
+        (contenders.training_policy, plan.num_envs, cpus, steps),
+    ]
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

@@ -1,0 +1,130 @@
+"""Training iterations: how many frames a second, where their time goes, and what they compute."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from pathlib import Path
+
+import torch
+from tensordict import TensorDictBase
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
+
+from benchmarks.stopwatch import Stopwatch
+from benchmarks.timing import Contender, Key
+from torchrl_atr.modules import correlate
+from torchrl_atr.training import TrainConfig, Trainer, make_env
+from torchrl_atr.training.collection import Collection
+
+
+class TrainingLoop:
+    """The trainer's iterations one at a time, without its logs and checkpoints.
+
+    Args:
+        config: of the run.
+        folder: that the trainer may write to.
+    """
+
+    def __init__(self, config: TrainConfig, folder: Path) -> None:
+        self.config, self.trainer = config, Trainer(config, folder)
+        self.learner, self.env = self.trainer.learner, self.trainer.env
+        policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
+        self.policy = correlate(policy, config.noise_correlation)
+        self.trainer.collection = Collection(config, self.env, partial(make_env, config), self.policy)
+        self._batches = iter(self.trainer.collection)
+        self._started = time.monotonic()
+
+    def collect(self) -> TensorDictBase:
+        """A batch (N, T)."""
+        return next(self._batches)
+
+    def iterate(self) -> int:
+        """What :meth:`Trainer.train` repeats: collect, learn. Returns the frames."""
+        self.learner.anneal(self.trainer.progress_made)
+        self.trainer._iterate(self.collect(), self._started)
+        return self.config.frames_per_batch
+
+    def close(self) -> None:
+        """Ends collector and env."""
+        self.trainer.collection.shutdown()
+        self.env.close()
+
+    def contender(self, threads: int) -> Contender:
+        """For timing."""
+        return Contender(Key("training", self.config.num_envs, threads), self.iterate, self.close)
+
+
+def flops_per_frame(loop: TrainingLoop) -> float:
+    """Floating-point operations of one iteration's networks, forward and backward, per robot step."""
+    batch = loop.collect()
+    with torch.no_grad(), FlopCounterMode(display=False) as acting:
+        loop.policy(batch[:, 0].clone())
+    with FlopCounterMode(display=False) as learning:
+        loop.learner.update(batch)
+    return acting.get_total_flops() / batch.shape[0] + learning.get_total_flops() / batch.numel()
+
+
+def matrix_products(loop: TrainingLoop, threads: int) -> Contender:
+    """What the compute limit rests on: ``torch.mm`` in the shapes of actor and critic, minibatch rows; counts FLOPs.
+
+    Each layer as training sees it: forward, gradient of the input, gradient of the weights.
+    """
+    networks, rows = loop.learner.networks, loop.learner.buffer.batch_size
+    modules = [*networks.backbone.modules(), *networks.critic.modules()]
+    shapes = [(layer.in_features, layer.out_features) for layer in modules if isinstance(layer, nn.Linear)]
+    operands = [(torch.randn(rows, i), torch.randn(i, o), torch.randn(rows, o)) for i, o in shapes]
+    flops = sum(3 * 2 * rows * i * o for i, o in shapes)
+
+    def step() -> int:
+        for x, weight, gradient in operands:
+            torch.mm(x, weight)
+            torch.mm(gradient, weight.T)
+            torch.mm(x.T, gradient)
+        return flops
+
+    return Contender(Key("matrix_products", rows, threads), step)
+
+
+PHASES = (
+    ("collect", "physics"),
+    ("collect", "drive law"),
+    ("collect", "task"),
+    ("collect", "resets"),
+    ("collect", "transforms"),
+    ("collect", "policy"),
+    ("collect", "collector"),
+    ("learn", "GAE"),
+    ("learn", "PPO"),
+    ("learn", "estimators"),
+    ("learn", "rest"),
+    ("rest", "metrics, annealing"),
+)
+"""Parts of an iteration; see :func:`profile`."""
+
+
+def profile(loop: TrainingLoop, iterations: int) -> dict[tuple[str, str], float]:
+    """Seconds of an iteration by phase, each without the phases inside it.
+
+    ``physics`` is MuJoCo's own stepping; ``task`` sensors, observations, rewards, terminations; ``resets`` new
+    episodes; ``transforms`` what :func:`~torchrl_atr.envs.make_riding_env` and TorchRL's stepping add.
+    """
+    watch, base, learner = Stopwatch(), loop.env.base_env, loop.learner
+    watch.attach(base.engine, "_substep", ("collect", "physics"))
+    watch.attach(base.engine, "advance", ("collect", "drive law"))
+    watch.attach(base, "_step", ("collect", "task"))
+    watch.attach(base, "_reset", ("collect", "resets"))
+    watch.attach(loop.env, "step_and_maybe_reset", ("collect", "transforms"))
+    watch.attach(loop.policy, "forward", ("collect", "policy"))
+    watch.attach(loop, "collect", ("collect", "collector"))
+    watch.attach(learner, "advantage", ("learn", "GAE"))
+    watch.attach(learner, "_policy_steps", ("learn", "PPO"))
+    watch.attach(learner, "_adaptation_steps", ("learn", "estimators"))
+    watch.attach(learner, "update", ("learn", "rest"))
+    watch.attach(loop, "iterate", ("rest", "metrics, annealing"))
+    try:
+        for _ in range(iterations):
+            loop.iterate()
+    finally:
+        watch.detach()
+    return {phase: watch.seconds[phase] / iterations for phase in PHASES}
