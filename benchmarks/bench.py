@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,12 @@ import torch
 from benchmarks import contenders, report, summary
 from benchmarks.memory import peak_memory
 from benchmarks.peers import available
-from benchmarks.timing import Contender, Key, interleave, medians
+from benchmarks.timing import Contender, Key, Rates, interleave, medians
 from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
 from torchrl_atr.training import TrainConfig
 from torchrl_atr.training.provenance import provenance
+
+Maker = Callable[[], Contender]
 
 
 @dataclass(frozen=True)
@@ -76,39 +79,20 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
     Returns:
         What ``bench.json`` holds.
     """
-    load = os.getloadavg()[0]
-    threads = plan.cpus or len(os.sched_getaffinity(0))
-    plan = dataclasses.replace(plan, cpus=threads)
-    results: dict[str, Any] = {"command": command, "date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"}
-    origin = provenance(TrainConfig(), frames=0, seconds=0.0)
-    hardware = {**origin["hardware"], "torch_threads": torch.get_num_threads(), "load_before": load}
-    results |= {"machine": hardware, "versions": origin["versions"], "plan": dataclasses.asdict(plan)}
+    plan = dataclasses.replace(plan, cpus=plan.cpus or len(os.sched_getaffinity(0)))
+    results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}
     results["memory"] = _memory(plan)
     peers, results["skipped"] = available()
     with ExitStack() as stack:
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-
-        def opened(make: Callable[..., Contender], *arguments: Any) -> Contender:
-            contender = make(*arguments)
-            stack.callback(contender.close)
-            return contender
-
         loops = [_loop(plan, size, scratch) for size in plan.training_sizes]
-        field = [opened(loop.contender, threads) for loop in loops]
-        field.append(opened(matrix_products, loops[0], threads))
-        field += [opened(make, *arguments) for make, *arguments in _layers(plan, threads)]
-        field += [opened(peer, threads) for peer in peers]
-        rates = interleave(field, plan.rounds, plan.seconds, _say)
+        makers: list[Maker] = [partial(loop.contender, plan.cpus) for loop in loops]
+        makers += [partial(matrix_products, loops[0], plan.cpus), *_layers(plan)]
+        makers += [partial(peer, plan.cpus) for peer in peers]
+        rates = interleave([_opened(make, stack) for make in makers], plan.rounds, plan.seconds, _say)
         _say("profiling")
         flops, phases = flops_per_frame(loops[0]), profile(loops[0], plan.profiled)
-    median = medians(rates)
-    (products,) = (key for key in rates if key.name == "matrix_products")
-    results["rates"] = summary.rate_records(rates)
-    results["ladder"] = summary.ladder(median, plan.num_envs, threads)
-    results["compute"] = {"flops_per_frame": flops, "flops_per_second": median[products], "rows": products.num_envs}
-    results["training"] = summary.training(median, flops)
-    results["peers"] = summary.peers(median, Key("free", plan.num_envs, threads))
-    results["scaling"] = summary.scaling(median)
+    results |= _figures(plan, rates, flops)
     results["profile"] = {
         "num_envs": plan.training_sizes[0],
         "phases": [{"stage": stage, "name": name, "seconds": value} for (stage, name), value in phases.items()],
@@ -116,6 +100,13 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
     results["machine"]["load_after"] = os.getloadavg()[0]
     report.write(results, folder)
     return results
+
+
+def _origin() -> dict[str, Any]:
+    """When, where and with what."""
+    origin = provenance(TrainConfig(), frames=0, seconds=0.0)
+    machine = {**origin["hardware"], "torch_threads": torch.get_num_threads(), "load_before": os.getloadavg()[0]}
+    return {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "machine": machine, "versions": origin["versions"]}
 
 
 def _memory(plan: Plan) -> list[dict[str, float]]:
@@ -131,23 +122,39 @@ def _loop(plan: Plan, size: int, scratch: Path) -> TrainingLoop:
     return TrainingLoop(config, scratch / str(size))
 
 
-def _layers(plan: Plan, cpus: int) -> list[tuple[Any, ...]]:
-    """Makers of ours with their arguments: all layers once, the lower ones at every size and number of threads."""
-    steps, powers = plan.collect_steps, [2**k for k in range(cpus.bit_length()) if 2**k < cpus]
-    points = [(size, cpus) for size in plan.sizes] + [(plan.num_envs, threads) for threads in powers]
-    makers: list[tuple[Any, ...]] = []
-    for point in points:
-        makers += [
-            (contenders.physics, *point),
-            (contenders.bare, *point),
-            (contenders.free, *point, steps),
-        ]
+def _layers(plan: Plan) -> list[Maker]:
+    """Ours: all layers once, the lower ones at every size and number of threads."""
+    full, collected = (plan.num_envs, plan.cpus), {"steps": plan.collect_steps}
+    fewer = [2**k for k in range(plan.cpus.bit_length()) if 2**k < plan.cpus]
+    makers: list[Maker] = []
+    for point in [(size, plan.cpus) for size in plan.sizes] + [(plan.num_envs, threads) for threads in fewer]:
+        makers += [partial(contenders.physics, *point), partial(contenders.bare, *point)]
+        makers.append(partial(contenders.free, *point, **collected))
     return [
         *makers,
-        (contenders.transformed, plan.num_envs, cpus),
-        (contenders.deployed, plan.num_envs, cpus, steps),
-        (contenders.training_policy, plan.num_envs, cpus, steps),
+        partial(contenders.transformed, *full),
+        partial(contenders.deployed, *full, **collected),
+        partial(contenders.training_policy, *full, **collected),
     ]
+
+
+def _opened(make: Maker, stack: ExitStack) -> Contender:
+    contender = make()
+    stack.callback(contender.close)
+    return contender
+
+
+def _figures(plan: Plan, rates: Rates, flops: float) -> dict[str, Any]:
+    median = medians(rates)
+    (products,) = (key for key in rates if key.name == "matrix_products")
+    return {
+        "rates": summary.rate_records(rates),
+        "ladder": summary.ladder(median, plan.num_envs, plan.cpus),
+        "compute": {"flops_per_frame": flops, "flops_per_second": median[products], "rows": products.num_envs},
+        "training": summary.training(median, flops),
+        "peers": summary.peers(median, Key("free", plan.num_envs, plan.cpus)),
+        "scaling": summary.scaling(median),
+    }
 
 
 def _say(line: str) -> None:

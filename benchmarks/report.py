@@ -54,11 +54,11 @@ def _head(results: dict[str, Any]) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in results["versions"].items())
     before, after = machine["load_before"], machine["load_after"]
     return (
-        f"# Benchmark\n\n`{results['command']}`, {results['date']}: {machine['processor']}, CPUs for this "
-        f"process: {machine['cpus']}, torch threads: {machine['torch_threads']}; load average {before:.1f} before, {after:.1f} "
-        f"after. {versions}.\n\nRates are medians of {plan['rounds']} rounds in which all contenders took turns, "
-        f"{plan['seconds']:g} s or more each; ratios are of medians. A step is a robot's control step, 0.02 s. "
-        "Networks are untrained."
+        f"# Benchmark\n\n`{results['command']}`, {results['date']}: {machine['processor']}, CPUs for this process: "
+        f"{machine['cpus']}, torch threads: {machine['torch_threads']}; load average {before:.1f} before, "
+        f"{after:.1f} after. {versions}.\n\n"
+        f"Rates are medians of {plan['rounds']} rounds in which all contenders took turns, {plan['seconds']:g} s or "
+        "more each; ratios are of medians. A step is a robot's control step, 0.02 s. Networks are untrained."
     )
 
 
