@@ -1,1 +1,1 @@
-"""Speed, measured in one run against limits and peers: ``torchrl-atr bench``. Not part of the installed package."""
+"""Measurements of the library: speed, learning, robustness; run from a clone."""
