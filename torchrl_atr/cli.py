@@ -45,13 +45,11 @@ def build_parser() -> argparse.ArgumentParser:
     _add_train(commands.add_parser("train", help="learn to ride; go on from a run with --resume"))
     _add_evaluate(commands.add_parser("evaluate", help="measure the deployed policy over a grid of commands"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
+    _add_bench(commands.add_parser("bench", help="measure speed against limits and peers (from a clone)"))
     model = commands.add_parser("model", help="write a robot on its transporter as one MJCF file")
     model.add_argument("robot", help="a name, or a .toml file that describes one of your own")
     model.add_argument("transporter")
     model.add_argument("--output", type=Path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer")
-    bench = commands.add_parser("bench", help="measure speed against limits and peers (from a clone)")
-    bench.add_argument("--quick", action="store_true", help="tiny sizes: shows that it works, measures nothing")
-    bench.add_argument("--output", type=Path, default=Path("results/bench"), metavar="DIR")
     listing = commands.add_parser("list", help="list what is registered")
     listing.add_argument("what", choices=sorted(LISTINGS))
     return parser
@@ -93,6 +91,11 @@ def _add_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--video", type=Path, help="write an .mp4 or .gif instead of opening a viewer")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--seed", type=int, default=0)
+
+
+def _add_bench(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--quick", action="store_true", help="tiny sizes: shows that it works, measures nothing")
+    parser.add_argument("--output", type=Path, default=Path("results/bench"), metavar="DIR")
 
 
 def train(arguments: argparse.Namespace) -> None:
