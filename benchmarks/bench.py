@@ -36,8 +36,7 @@ class Plan:
         num_envs: N of the layers; one of ``sizes``.
         sizes: N, for cost and peak memory.
         training_sizes: N that are trained, the recipe's first; each one of ``sizes``.
-        training_steps: control steps of an iteration, the recipe's.
-        collect_steps: control steps of a batch where nothing is trained.
+        steps: control steps of a collector's batch, the recipe's.
         rounds: samples of each contender.
         seconds: least time of a sample.
         profiled: iterations that are profiled.
@@ -47,8 +46,7 @@ class Plan:
     num_envs: int = 1024
     sizes: tuple[int, ...] = (64, 256, 1024, 4096)
     training_sizes: tuple[int, ...] = (256, 64, 1024)
-    training_steps: int = 24
-    collect_steps: int = 8
+    steps: int = 24
     rounds: int = 7
     seconds: float = 0.5
     profiled: int = 8
@@ -60,8 +58,7 @@ QUICK = Plan(
     num_envs=8,
     sizes=(8,),
     training_sizes=(8,),
-    training_steps=4,
-    collect_steps=2,
+    steps=4,
     rounds=2,
     seconds=0.05,
     profiled=1,
@@ -113,18 +110,18 @@ def _memory(plan: Plan) -> list[dict[str, float]]:
     rows = []
     for size in plan.sizes:
         _say(f"peak memory of {size} robots")
-        rows.append(peak_memory(size, plan.training_steps))
+        rows.append(peak_memory(size, plan.steps))
     return rows
 
 
 def _loop(plan: Plan, size: int, scratch: Path) -> TrainingLoop:
-    config = TrainConfig(num_envs=size, rollout_steps=plan.training_steps)
+    config = TrainConfig(num_envs=size, rollout_steps=plan.steps)
     return TrainingLoop(config, scratch / str(size))
 
 
 def _layers(plan: Plan) -> list[Maker]:
     """Ours: all layers once, the lower ones at every size and number of threads."""
-    full, collected = (plan.num_envs, plan.cpus), {"steps": plan.collect_steps}
+    full, collected = (plan.num_envs, plan.cpus), {"steps": plan.steps}
     fewer = [2**k for k in range(plan.cpus.bit_length()) if 2**k < plan.cpus]
     makers: list[Maker] = []
     for point in [(size, plan.cpus) for size in plan.sizes] + [(plan.num_envs, threads) for threads in fewer]:
