@@ -47,7 +47,7 @@ class Plan:
     sizes: tuple[int, ...] = (64, 256, 1024, 4096)
     training_sizes: tuple[int, ...] = (256, 64, 1024)
     steps: int = 24
-    rounds: int = 7
+    rounds: int = 5
     seconds: float = 0.5
     profiled: int = 8
 
