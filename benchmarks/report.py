@@ -106,7 +106,7 @@ def _scaling(results: dict[str, Any]) -> str:
 
 def _memory(results: dict[str, Any]) -> str:
     rows = [[f"{r['num_envs']}", f"{r['imported']:,.0f}", f"{r['peak']:,.0f}"] for r in results["memory"]]
-    return "## Memory of a training iteration, MB\n\n" + table(["N", "imports alone", "peak"], rows)
+    return "## Memory of training, MB\n\n" + table(["N", "imports alone", "peak"], rows)
 
 
 def _profile(results: dict[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -86,45 +87,37 @@ def matrix_products(loop: TrainingLoop, threads: int) -> Contender:
     return Contender(Key("matrix_products", rows, threads), step)
 
 
-PHASES = (
-    ("collect", "physics"),
-    ("collect", "drive law"),
-    ("collect", "task"),
-    ("collect", "resets"),
-    ("collect", "transforms"),
-    ("collect", "policy"),
-    ("collect", "collector"),
-    ("learn", "GAE"),
-    ("learn", "PPO"),
-    ("learn", "estimators"),
-    ("learn", "rest"),
-    ("rest", "metrics, annealing"),
-)
-"""Parts of an iteration; see :func:`profile`."""
-
-
 def profile(loop: TrainingLoop, iterations: int) -> dict[tuple[str, str], float]:
-    """Seconds of an iteration by phase, each without the phases inside it.
+    """Seconds of an iteration by stage and phase, each phase without those inside it.
 
     ``physics`` is MuJoCo's own stepping; ``task`` sensors, observations, rewards, terminations; ``resets`` new
     episodes; ``transforms`` what :func:`~torchrl_atr.envs.make_riding_env` and TorchRL's stepping add.
     """
-    watch, base, learner = Stopwatch(), loop.env.base_env, loop.learner
-    watch.attach(base.engine, "_substep", ("collect", "physics"))
-    watch.attach(base.engine, "advance", ("collect", "drive law"))
-    watch.attach(base, "_step", ("collect", "task"))
-    watch.attach(base, "_reset", ("collect", "resets"))
-    watch.attach(loop.env, "step_and_maybe_reset", ("collect", "transforms"))
-    watch.attach(loop.policy, "forward", ("collect", "policy"))
-    watch.attach(loop, "collect", ("collect", "collector"))
-    watch.attach(learner, "advantage", ("learn", "GAE"))
-    watch.attach(learner, "_policy_steps", ("learn", "PPO"))
-    watch.attach(learner, "_adaptation_steps", ("learn", "estimators"))
-    watch.attach(learner, "update", ("learn", "rest"))
-    watch.attach(loop, "iterate", ("rest", "metrics, annealing"))
+    watch, parts = Stopwatch(), _parts(loop)
+    for phase, (owner, name) in parts.items():
+        watch.attach(owner, name, phase)
     try:
         for _ in range(iterations):
             loop.iterate()
     finally:
         watch.detach()
-    return {phase: watch.seconds[phase] / iterations for phase in PHASES}
+    return {phase: watch.seconds[phase] / iterations for phase in parts}
+
+
+def _parts(loop: TrainingLoop) -> dict[tuple[str, str], tuple[Any, str]]:
+    """The methods that an iteration consists of, by stage and phase, in the order of the report."""
+    base, learner = loop.env.base_env, loop.learner
+    return {
+        ("collect", "physics"): (base.engine, "_substep"),
+        ("collect", "drive law"): (base.engine, "advance"),
+        ("collect", "task"): (base, "_step"),
+        ("collect", "resets"): (base, "_reset"),
+        ("collect", "transforms"): (loop.env, "step_and_maybe_reset"),
+        ("collect", "policy"): (loop.policy, "forward"),
+        ("collect", "collector"): (loop, "collect"),
+        ("learn", "GAE"): (learner, "advantage"),
+        ("learn", "PPO"): (learner, "_policy_steps"),
+        ("learn", "estimators"): (learner, "_adaptation_steps"),
+        ("learn", "rest"): (learner, "update"),
+        ("rest", "metrics, annealing"): (loop, "iterate"),
+    }
