@@ -22,7 +22,7 @@ from benchmarks.peers import available
 from benchmarks.timing import Contender, Key, Rates, interleave, medians
 from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
 from torchrl_atr.training import TrainConfig
-from torchrl_atr.training.provenance import provenance
+from torchrl_atr.training.provenance import machine
 
 Maker = Callable[[], Contender]
 
@@ -76,6 +76,7 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
     Returns:
         What ``bench.json`` holds.
     """
+    folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found before, not after
     plan = dataclasses.replace(plan, cpus=plan.cpus or len(os.sched_getaffinity(0)))
     results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}
     results["memory"] = _memory(plan)
@@ -101,9 +102,9 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
 
 def _origin() -> dict[str, Any]:
     """When, where and with what."""
-    origin = provenance(TrainConfig(), frames=0, seconds=0.0)
-    machine = {**origin["hardware"], "torch_threads": torch.get_num_threads(), "load_before": os.getloadavg()[0]}
-    return {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "machine": machine, "versions": origin["versions"]}
+    origin = machine()
+    hardware = {**origin["hardware"], "torch_threads": torch.get_num_threads(), "load_before": os.getloadavg()[0]}
+    return {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "machine": hardware, "versions": origin["versions"]}
 
 
 def _memory(plan: Plan) -> list[dict[str, float]]:

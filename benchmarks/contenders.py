@@ -98,13 +98,12 @@ def training_policy(num_envs: int, threads: int, steps: int) -> Contender:
     torch.manual_seed(config.seed)
     policy = make_run_networks(config, env).rollout_policy(config.act_source, config.student_fraction)
     collection = Collection(config, env, partial(make_env, config), correlate(policy, config.noise_correlation))
-    batches = iter(collection)
 
     def close() -> None:
         collection.shutdown()
         env.close()
 
-    return Contender(Key("training_policy", num_envs, threads), lambda: next(batches).numel(), close)
+    return Contender(Key("training_policy", num_envs, threads), lambda: collection.collect().numel(), close)
 
 
 def _riding_env(num_envs: int, threads: int) -> TransformedEnv:
@@ -121,6 +120,7 @@ def _collected(
         frames_per_batch=size * steps,
         total_frames=-1,
         exploration_type=ExplorationType.DETERMINISTIC,
+        track_traj_ids=False,  # as in training
         trust_policy=True,  # a plain function may be a policy
         auto_register_policy_transforms=False,
     )

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.stopwatch import Stopwatch
 from benchmarks.timing import Contender, Key
-from torchrl_atr.modules import correlate
-from torchrl_atr.training import TrainConfig, Trainer, make_env
-from torchrl_atr.training.collection import Collection
+from torchrl_atr.training import TrainConfig, Trainer
 
 
 class TrainingLoop:
@@ -30,25 +26,18 @@ class TrainingLoop:
     def __init__(self, config: TrainConfig, folder: Path) -> None:
         self.config, self.trainer = config, Trainer(config, folder)
         self.learner, self.env = self.trainer.learner, self.trainer.env
-        policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
-        self.policy = correlate(policy, config.noise_correlation)
-        self.trainer.collection = Collection(config, self.env, partial(make_env, config), self.policy)
-        self._batches = iter(self.trainer.collection)
+        self.collection = self.trainer.collection = self.trainer._start_collection()
         self._started = time.monotonic()
-
-    def collect(self) -> TensorDictBase:
-        """A batch (N, T)."""
-        return next(self._batches)
 
     def iterate(self) -> int:
         """What :meth:`Trainer.train` repeats: collect, learn. Returns the frames."""
         self.learner.anneal(self.trainer.progress_made)
-        self.trainer._iterate(self.collect(), self._started)
+        self.trainer._iterate(self._started)
         return self.config.frames_per_batch
 
     def close(self) -> None:
         """Ends collector and env."""
-        self.trainer.collection.shutdown()
+        self.collection.shutdown()
         self.env.close()
 
     def contender(self, threads: int) -> Contender:
@@ -58,9 +47,9 @@ class TrainingLoop:
 
 def flops_per_frame(loop: TrainingLoop) -> float:
     """Floating-point operations of one iteration's networks, forward and backward, per robot step."""
-    batch = loop.collect()
+    batch = loop.collection.collect()
     with torch.no_grad(), FlopCounterMode(display=False) as acting:
-        loop.policy(batch[:, 0].clone())
+        loop.collection.policy(batch[:, 0].clone())
     with FlopCounterMode(display=False) as learning:
         loop.learner.update(batch)
     return acting.get_total_flops() / batch.shape[0] + learning.get_total_flops() / batch.numel()
@@ -113,8 +102,8 @@ def _parts(loop: TrainingLoop) -> dict[tuple[str, str], tuple[Any, str]]:
         ("collect", "task"): (base, "_step"),
         ("collect", "resets"): (base, "_reset"),
         ("collect", "transforms"): (loop.env, "step_and_maybe_reset"),
-        ("collect", "policy"): (loop.policy, "forward"),
-        ("collect", "collector"): (loop, "collect"),
+        ("collect", "policy"): (loop.collection.policy, "forward"),
+        ("collect", "collector"): (loop.collection, "collect"),
         ("learn", "GAE"): (learner, "advantage"),
         ("learn", "PPO"): (learner, "_policy_steps"),
         ("learn", "estimators"): (learner, "_adaptation_steps"),

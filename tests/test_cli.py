@@ -7,6 +7,7 @@ import json
 import mujoco
 import pytest
 
+from torchrl_atr import evaluation
 from torchrl_atr.cli import main
 
 
@@ -68,6 +69,29 @@ def test_train_evaluate_resume(tmp_path, capsys):
     assert names <= {file.name for file in report.iterdir()}
     assert main(["train", "--resume", str(run), "--total-frames", "48"]) == 0
     assert json.loads((run / "run.json").read_text())["frames"] == 48
+
+
+def test_a_policy_rides_another_transporter_by_name(tmp_path, capsys, monkeypatch):
+    run, report = tmp_path / "run", tmp_path / "report"
+    tiny = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
+    assert main(["train", *tiny, "--total-frames", "8", "--output", str(run)]) == 0
+    grid = ["--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
+    asked = ["evaluate", str(run), *grid, "--transporter", "two_board"]
+    for output in ([], ["--output", str(run)]):
+        assert main([*asked, *output]) == 2
+        assert "give another folder with --output" in capsys.readouterr().err
+    assert main([*asked, "--output", str(report)]) == 0
+    metrics = json.loads((report / "metrics.json").read_text())
+    assert metrics["evaluation"]["transporter"] == "two_board_g1"
+    assert "--transporter single_board" in metrics["run"]["command"]
+    assert not (run / "metrics.json").exists()
+    ridden = []
+    monkeypatch.setattr(evaluation, "record_video", lambda policy, env, *_, **__: ridden.append(env))
+    assert main(["play", str(run), "--transporter", "single_board_g2", "--video", "ride.gif"]) == 0
+    assert ridden[0].base_env.scene.transporter.name == "single_board_g2"
+    for command in (["evaluate", str(run), "--output", str(report)], ["play", str(run)]):
+        assert main([*command, "--transporter", "sled"]) == 2
+        assert "unknown transporter 'sled'; known: single_board, two_board" in capsys.readouterr().err
 
 
 def test_a_run_is_not_overwritten_and_a_resumed_one_keeps_its_settings(tmp_path, capsys):

@@ -32,6 +32,8 @@ _SETTINGS = (
     "max_minutes",
     "seed",
     "device",
+    "collector",
+    "workers",
 )
 """Settings that have an option of their own."""
 _RESUMABLE = ("total_frames", "max_minutes")
@@ -67,6 +69,8 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--max-minutes", type=float, help="wall clock, earlier sessions of the run included")
     parser.add_argument("--seed", type=int)
     parser.add_argument("--device")
+    parser.add_argument("--collector", help="where robots are simulated: direct, process, ray or distributed")
+    parser.add_argument("--workers", type=int, help="processes that share robots and CPUs, unless direct")
     parser.add_argument("--config", type=Path, metavar="FILE", help=".toml or .json with any setting")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--output", type=Path, metavar="RUN", help=f"the run folder; default: {_DEFAULT_RUN}")
@@ -78,6 +82,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--output", type=Path, help="where the report goes; default: the run folder")
+    parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
     parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
     parser.add_argument("--max-speed", type=float, default=2.0, help="m/s")
     parser.add_argument("--max-yaw-rate", type=float, default=1.0, help="rad/s")
@@ -88,6 +93,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
 
 def _add_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=Path)
+    parser.add_argument("--transporter", help="ride another one than it was trained on")
     parser.add_argument("--video", type=Path, help="write an .mp4 or .gif instead of opening a viewer")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--seed", type=int, default=0)
@@ -98,23 +104,22 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", type=Path, default=Path("results/bench"), metavar="DIR")
 
 
-def train(arguments: argparse.Namespace) -> None:
-    """``torchrl-atr train``."""
+def train(arguments: argparse.Namespace) -> int:
+    """``torchrl-atr train``; a run that a signal stopped ends as shells expect, with 128 and the signal's number."""
     from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
     from torchrl_atr.training.checkpoint import NAME
 
     if arguments.resume is not None:
-        _resume(arguments)
-        return
+        return _resume(arguments)
     output = arguments.output or _DEFAULT_RUN
     if (output / NAME).exists() and not arguments.overwrite:
         raise ConfigError(f"{output} holds a run; give another --output, --resume {output}, or --overwrite")
     values = read_config(arguments.config) if arguments.config else {}
     values |= {name: getattr(arguments, name) for name in _SETTINGS if getattr(arguments, name) is not None}
-    Trainer(make_config(values, arguments.overrides), output).train()
+    return _exit_code(Trainer(make_config(values, arguments.overrides), output).train())
 
 
-def _resume(arguments: argparse.Namespace) -> None:
+def _resume(arguments: argparse.Namespace) -> int:
     from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config
 
     fixed = [name for name in (*_SETTINGS, "config", "output") if getattr(arguments, name) is not None]
@@ -124,7 +129,11 @@ def _resume(arguments: argparse.Namespace) -> None:
         raise ConfigError(f"{names}: a resumed run keeps its settings, --total-frames and --max-minutes excepted")
     state = load_checkpoint(arguments.resume)
     changed = {name: getattr(arguments, name) for name in _RESUMABLE if getattr(arguments, name) is not None}
-    Trainer(make_config({**state["config"], **changed}), arguments.resume, state).train()
+    return _exit_code(Trainer(make_config({**state["config"], **changed}), arguments.resume, state).train())
+
+
+def _exit_code(signal: int | None) -> int:
+    return 0 if signal is None else 128 + signal
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
@@ -134,11 +143,13 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import command_grid, evaluate_tracking, figures, tracking_metrics, write_report
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
-    config, env, networks, state = load_run(arguments.run, num_envs=1)
+    output = _report_folder(arguments)
+    deck = _deck(arguments)
+    config, env, networks, state = load_run(arguments.run, num_envs=1, **deck)
     env.close()
     result = evaluate_tracking(
         networks.deployed_policy(),
-        partial(make_env, config, randomization=arguments.randomization, **DEPLOYED),
+        partial(make_env, config, randomization=arguments.randomization, **deck, **DEPLOYED),
         command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
         robots_per_command=arguments.robots_per_command,
         seed=arguments.seed,
@@ -146,9 +157,12 @@ def evaluate(arguments: argparse.Namespace) -> None:
         progress=_show_steps,
     )
     metrics = tracking_metrics(result)
-    metrics["evaluation"] = {"seed": arguments.seed, "randomization": arguments.randomization}
+    metrics["evaluation"] = {
+        "transporter": env.base_env.scene.transporter.name,
+        "seed": arguments.seed,
+        "randomization": arguments.randomization,
+    }
     metrics["run"] = state["provenance"]
-    output = arguments.output or arguments.run
     write_report(result, metrics, output)
     if (arguments.run / "progress.csv").is_file():
         figures.plot_learning_curves(arguments.run / "progress.csv", output / "learning_curves.png")
@@ -156,6 +170,24 @@ def evaluate(arguments: argparse.Namespace) -> None:
     figures.plot_curriculum(weights, env.transform[0].grid.bounds, output / "curriculum.png")
     _print_figures(metrics)
     sys.stdout.write(f"report in {output}\n")
+
+
+def _deck(arguments: argparse.Namespace) -> dict[str, str]:
+    """The env argument that puts the run's robot on another transporter, if one is asked for."""
+    return {} if arguments.transporter is None else {"transporter": arguments.transporter}
+
+
+def _report_folder(arguments: argparse.Namespace) -> Path:
+    """Where the report goes: a run's own is of the transporter that it was trained on."""
+    from torchrl_atr.training import ConfigError
+
+    output = arguments.output or arguments.run
+    if arguments.transporter is not None and output.resolve() == arguments.run.resolve():
+        raise ConfigError(
+            f"--transporter {arguments.transporter}: the report in {arguments.run} is of the transporter that it was "
+            "trained on; give another folder with --output"
+        )
+    return output
 
 
 def _show_steps(done: int, total: int) -> None:
@@ -178,7 +210,7 @@ def play(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import play_viewer, record_video
     from torchrl_atr.training import DEPLOYED, load_run
 
-    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, **DEPLOYED)
+    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, **_deck(arguments), **DEPLOYED)
     policy = networks.deployed_policy()
     if arguments.video is None:
         play_viewer(policy, env)
@@ -230,14 +262,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = build_parser().parse_args(argv)
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported, by the command
     try:
-        _COMMANDS[arguments.command](arguments)
+        return _COMMANDS[arguments.command](arguments) or 0
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         return 130
     except (UserError, OSError, ImportError) as error:
         sys.stderr.write(f"torchrl-atr {arguments.command}: {error}\n")
         return 2
-    return 0
 
 
 if __name__ == "__main__":

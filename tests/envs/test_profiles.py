@@ -6,7 +6,9 @@ import dataclasses
 import math
 
 import pytest
+import torch
 
+from torchrl_atr.envs.factory import make_riding_env
 from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings, points
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.training import RECIPE_POINTS
@@ -61,6 +63,15 @@ def test_pd_gains_taken_literally_are_table_iis_for_every_robot():
         env = RidingEnv("spot", num_envs=1, profile=profile, randomization="off", seed=0, num_threads=1)
         gains = env.engine.fields["actuator_gainprm"][0, env.scene.layout.actuators, 0]
         assert gains == pytest.approx([gain] * 12, rel=1e-6)
+
+
+def test_the_history_may_end_with_the_current_observation():
+    for included in (False, True):
+        readings = Readings(current_in_history=included)
+        ride = make_riding_env(num_envs=2, profile=readings, seed=0, num_threads=1).rollout(3)
+        newest = ride["history"][..., -1, :]
+        assert torch.equal(newest, ride["observation"]) is included
+        assert included or torch.equal(newest[:, 1:], ride["observation"][:, :-1])
 
 
 def test_unknown_profile_and_reading_list_the_known_ones():

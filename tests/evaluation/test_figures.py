@@ -66,3 +66,17 @@ def test_curriculum_weights(tmp_path):
     weights = np.zeros((31, 21))
     weights[10:20, 8:12] = np.linspace(0.1, 1, 10)[:, None]
     assert _colours(figures.plot_curriculum(weights, (3.0, 2.0), tmp_path / "grid.png")) > 5
+
+
+def test_runs_are_compared_group_by_group(tmp_path):
+    csv = tmp_path / "progress.csv"
+    csv.write_text("minutes,episode_length,episode_reward\n0.1,,\n0.2,20,1.0\n0.3,30,2.0\n")
+    lines = {"single_board": csv, "two_board": csv}
+    assert _colours(figures.plot_runs({"a1": lines, "go1": lines}, tmp_path / "runs.png")) > 3
+
+
+def test_runs_without_rows_are_named(tmp_path):
+    csv = tmp_path / "progress.csv"
+    csv.write_text("minutes,episode_length,episode_reward\n")
+    with pytest.raises(ValueError, match="no rows in the progress of a1, two_board"):
+        figures.plot_runs({"a1": {"two_board": csv}}, tmp_path / "runs.png")

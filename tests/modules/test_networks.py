@@ -190,6 +190,13 @@ def test_normalisation_makes_actions_independent_of_units(spec):
         torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-3)
 
 
+def test_a_critic_without_privileges_reads_the_observation_alone(spec):
+    nets = make_networks(spec, Unbounded((5, 2)), critic_cells=(16,), privileged_critic=False)
+    assert nets.critic_module.in_keys == ["observation"]
+    nets.update_normalizers(spec.rand())
+    assert nets.critic_module(spec.rand().select("observation"))["state_value"].shape == (5, 1)
+
+
 def test_policies_share_their_parameters(networks):
     ids = {id(p) for p in networks.parameters()}
     views = [networks.training_actor(s) for s in SOURCES] + [networks.rollout_policy(s) for s in SOURCES]

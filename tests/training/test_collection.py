@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from importlib.util import find_spec
 
 import pytest
 import torch
@@ -11,10 +12,13 @@ from torchrl_atr.modules import correlate
 from torchrl_atr.training import ConfigError, Learner, make_config, make_env, make_run_networks
 from torchrl_atr.training.collection import Collection
 
+needs_ray = pytest.param(
+    "ray", marks=pytest.mark.skipif(find_spec("ray") is None, reason="Ray is an extra: pip install 'torchrl_atr[ray]'")
+)
 TINY = {"num_envs": 8, "rollout_steps": 4, "minibatches": 1, "num_threads": 1, "workers": 2}
 
 
-@pytest.mark.parametrize("collector", ["direct", "process"])
+@pytest.mark.parametrize("collector", ["direct", "process", "distributed", needs_ray])
 def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
     """Recorded log-probabilities are the learner's own, before and after it moved; workers draw different robots."""
     config = make_config({**TINY, "collector": collector})
@@ -25,9 +29,8 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
     policy = correlate(networks.rollout_policy(config.act_source, config.student_fraction), config.noise_correlation)
     collection = Collection(config, env, partial(make_env, config), policy)
     try:
-        batches = iter(collection)
-        for _ in range(2):
-            batch = next(batches)
+        for _ in range(3):
+            batch = collection.collect()
             assert batch.shape == (8, 4)
             flat = batch.reshape(-1)
             with torch.no_grad():
@@ -39,12 +42,12 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
             collection.curriculum.weights[cell] = 0.75
             collection.exchange()
             assert collection.curriculum.weights[cell] == 0.75
+            if collection.callable:
+                for weights in collection.collector.get_distant_attr("env.transform[0].weights"):
+                    torch.testing.assert_close(weights, collection.curriculum.weights)
         intrinsics = batch["privileged", "intrinsic"][:, 0]
         assert len(torch.unique(intrinsics, dim=0)) == 8
         assert collection.num_diverged == 0
-        if collector == "process":
-            for weights in collection.collector.get_distant_attr("env.transform[0].weights"):
-                torch.testing.assert_close(weights, collection.curriculum.weights)
     finally:
         collection.shutdown()
 
@@ -52,5 +55,5 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
 def test_robots_must_divide_among_the_workers():
     with pytest.raises(ConfigError, match="num_envs=7 cannot be shared evenly by workers=2"):
         make_config({**TINY, "num_envs": 7, "collector": "process"})
-    with pytest.raises(ConfigError, match="collector='ssh' is unknown; choose one of direct, process"):
+    with pytest.raises(ConfigError, match="collector='ssh' is unknown; choose one of direct, process, ray"):
         make_config({"collector": "ssh"})

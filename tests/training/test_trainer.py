@@ -58,7 +58,6 @@ def test_resume_goes_on_where_the_run_stopped(run):
     assert torch.equal(trainer.learner.optimizers["policy"].state_dict()["state"][0]["exp_avg"], moments)
     assert torch.equal(trainer.curriculum.weights, state["curriculum"]["weights"])
     assert trainer.learner.schedule.get_last_lr() == [state["learner"]["optimizers"]["policy"]["param_groups"][0]["lr"]]
-    assert torch.equal(trainer.env.base_env.rng.get_state(), state["env_rng"])
     trainer.train()
     with (folder / "progress.csv").open() as file:
         assert [int(float(row["frames"])) for row in csv.DictReader(file)] == [64, 128, 192, 256, 320]
@@ -72,6 +71,15 @@ def test_the_first_importance_ratio_is_one(tmp_path, source):
     Trainer(config, tmp_path / source).train(metrics.append)
     assert abs(metrics[0]["mean_ratio"] - 1) < 1e-4
     assert abs(metrics[0]["max_ratio"] - 1) < 1e-4
+
+
+def test_a_critic_without_privileges_trains_and_is_restored(tmp_path):
+    config = make_config({**TINY, "privileged_critic": False, "total_frames": 64})
+    metrics = []
+    Trainer(config, tmp_path / "run").train(metrics.append)
+    assert metrics[0]["loss_critic"] > 0
+    _, _, networks, _ = load_run(tmp_path / "run")
+    assert networks.critic_module.in_keys == ["observation"]
 
 
 def test_an_estimator_from_outside_trains(tmp_path):

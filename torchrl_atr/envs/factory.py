@@ -79,6 +79,7 @@ def make_riding_env(
     transforms = riding_transforms(
         tuple(dt * value for value in MAX_TRACKING.values()),
         history_length=history_length,
+        include_current=env.readings.current_in_history,
         max_steps=max_steps,
         window=window,
         grid=grid,

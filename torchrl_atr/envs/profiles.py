@@ -57,8 +57,10 @@ class Readings:
         relative_pose: x_ext holds the relative pose.
         rewards_times_dt: multiply every reward by the control period.
         positive_rewards: clip the summed reward (termination excepted) at zero.
+        current_in_history: the estimators' history ends with o_t instead of o_{t-1}.
         gravity_in_acceleration: v̇_B is the specific force of an IMU, not the kinematic acceleration.
         planar_smoothness: r8's ‖α_P‖ is the driven yaw acceleration, without roll's and pitch's.
+        contacting_polygon: r4's and r5's polygon is of the feet in contact; with fewer than three all is outside.
         tilt_limit: body roll or pitch (rad) beyond which the episode ends.
 
     Raises:
@@ -144,6 +146,18 @@ class Readings:
         "v̇_B is written as a kinematic acceleration; an IMU measures it plus gravity's reaction.\n"
         "Roll and pitch are observed beside it, so either can be had from the other.",
         ancestor=True,
+    )
+    current_in_history: bool = _reading(
+        False,
+        "A19",
+        "The history is printed as o_{t-1} ... o_{t-H}, so estimates lag by one step, 20 ms.\n"
+        "The ancestors leave o_t out as well; with it, estimates are of the present.",
+    )
+    contacting_polygon: bool = _reading(
+        False,
+        "A31",
+        "r4's and r5's polygon is 'defined by foot positions': of all four feet, or of those that bear.\n"
+        "All four, as printed; a lifted foot already costs r6.",
     )
     planar_smoothness: bool = _reading(
         True,

@@ -177,21 +177,18 @@ class RidingEnv(EnvBase):
             "truncated": torch.zeros_like(terminated),
             "done": terminated.clone(),
         }
-        nested: dict[str, Any] = {"reward_terms": terms, **flags}
-        for key, value in observed.items():
-            if isinstance(key, tuple):
-                nested.setdefault(key[0], {})[key[1]] = value
-            else:
-                nested[key] = value
-        return TensorDict(nested, batch_size=self.batch_size)
+        return TensorDict({**_nested(observed), "reward_terms": terms, **flags}, batch_size=self.batch_size)
 
     def get_state(self) -> TensorDict:
-        """Everything :meth:`set_state` needs to continue from here, on either engine."""
-        state = {**self.task.get_state(), "command": self._emitted["command"].clone()}
-        return TensorDict(state, batch_size=self.batch_size)
+        """Everything :meth:`set_state` needs to continue from here bit for bit, on either engine."""
+        state = {**self.task.get_state(), "emitted": _nested(self._emitted)}
+        return TensorDict(state, batch_size=self.batch_size).clone()
 
     def set_state(self, state: TensorDictBase) -> None:
         """Restores a state of :meth:`get_state`: intrinsic parameters, simulation state and bookkeeping.
+
+        Without ``emitted``, the last observations, a state of one's own making is observed anew: under the ``command``
+        (N, 2) that it may hold, with accelerations of zero.
 
         Raises:
             KeyError: if an entry is missing.
@@ -199,8 +196,23 @@ class RidingEnv(EnvBase):
         """
         if state.batch_size != self.batch_size:
             raise ValueError(f"the state is of {tuple(state.batch_size)} robots; this env has {tuple(self.batch_size)}")
-        self.task.set_state(dict(state.items()))
-        self._emitted = self.task.observe(self._command(state))
+        self.task.set_state(dict(state.exclude("emitted").items()))
+        emitted = state.get("emitted", None)
+        if emitted is None:
+            self._emitted = self.task.observe(self._command(state))
+        else:
+            self._emitted = {key: emitted[key].clone() for key in self._emitted}
+
+
+def _nested(values: dict[Any, Tensor]) -> dict[str, Any]:
+    """Nested keys as nested dictionaries."""
+    nested: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(key, tuple):
+            nested.setdefault(key[0], {})[key[1]] = value
+        else:
+            nested[key] = value
+    return nested
 
 
 def _make_engine(physics: str, scene: Scene, readings: Readings, num_envs: int, num_threads: int | None) -> Engine:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,15 @@ import matplotlib
 matplotlib.use("Agg")
 
 import numpy as np
+import pandas as pd
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from torchrl_atr._files import atomic
+from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.evaluation.metrics import EPSILONS, command_area, do_nothing
 from torchrl_atr.evaluation.tracking import TrackingResult
 
@@ -159,6 +163,46 @@ def plot_learning_curves(progress_csv: str | Path, path: str | Path, curves: Map
             axis.set_axis_off()
         figure.supxlabel("frames [million]" if "frames" in columns else "iteration", fontsize=9)
         return _save(figure, path)
+
+
+def plot_runs(runs: Mapping[str, Mapping[str, str | Path]], path: str | Path) -> Path:
+    """Episode length and return over the minutes of several runs, a column of two panels for each group of them.
+
+    Bold: mean over the last 15 iterations; faint: every iteration.
+
+    Args:
+        runs: by group, such as a robot, each line's label and the ``progress.csv`` it shows.
+        path: the PNG to write.
+
+    Raises:
+        ValueError: if there is no run, or one without rows.
+    """
+    curves = {group: {label: _read_columns(Path(f)) for label, f in lines.items()} for group, lines in runs.items()}
+    empty = [f"{group}, {label}" for group, lines in curves.items() for label, columns in lines.items() if not columns]
+    if empty or not curves:
+        raise ValueError(f"no rows in the progress of {'; '.join(empty)}" if empty else "no runs to plot")
+    colours = dict(zip(dict.fromkeys(label for lines in runs.values() for label in lines), cycle(_COLOURS.values())))
+    panels = (("episode_length", CONTROL_DT, "episode length [s]"), ("episode_reward", 1.0, "return of an episode"))
+    size = (1 + 2.6 * len(curves), 4.4)
+    with plt.rc_context(_STYLE):
+        figure, axes = plt.subplots(2, len(curves), figsize=size, squeeze=False, sharex=True, sharey="row")
+        for row, (name, unit, y_label) in zip(axes, panels):
+            row[0].set_ylabel(y_label)
+            for axis, lines in zip(row, curves.values()):
+                for label, columns in lines.items():
+                    _noisy_line(axis, columns["minutes"], unit * columns[name], colours[label])
+                axis.grid(alpha=0.25)
+        for axis, group in zip(axes[0], curves):
+            axis.set_title(group)
+        handles = [Line2D([], [], color=colour, label=label) for label, colour in colours.items()]
+        figure.legend(handles=handles, loc="outside lower right", ncols=len(handles))
+        figure.supxlabel("minutes", fontsize=9)
+        return _save(figure, path)
+
+
+def _noisy_line(axis: Axes, x: Array, y: Array, colour: str) -> None:
+    axis.plot(x, y, color=colour, lw=0.6, alpha=0.25)
+    axis.plot(x, pd.Series(y).rolling(15, min_periods=1).mean(), color=colour, lw=1.6)
 
 
 def plot_curriculum(weights: Any, bounds: tuple[float, float], path: str | Path) -> Path:

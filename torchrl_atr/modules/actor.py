@@ -119,7 +119,7 @@ class ActorBackbone(nn.Module):
         # Adam's steps are alike in all outputs. In units of the exploration's variance, a column's share of the
         # divergence follows what its exploration can teach: what is explored little does not use up the trust region.
         std = torch.as_tensor(init_std, dtype=basis.dtype).expand(action_features)
-        self.register_buffer("head", (std.square() / std.max()).unsqueeze(-1) * basis.T)
+        self.register_buffer("head", ((std.square() / std.max()).unsqueeze(-1) * basis.T).contiguous())
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
         in_features = size + len(products) + latent_features + extrinsic_norm.shape.numel()

@@ -17,7 +17,9 @@ class AsymmetricCritic(nn.Module):
     It has its own MLP and shares only the (frozen between updates) normalisers with the actor.
 
     Args:
-        observation_norm, extrinsic_norm (RunningNormalizer): shared with the actor.
+        observation_norm (RunningNormalizer): shared with the actor.
+        extrinsic_norm (RunningNormalizer, optional): shared with the actor; None for a critic that reads the
+            observation alone, and is not asymmetric then.
         intrinsic_features (int): size of ``("privileged", "intrinsic")``, scaled to [-1, 1] by the env.
         cells (sequence of int): hidden widths. Defaults to ``(512, 256, 128)``.
         outlook_norm (RunningNormalizer, optional): of a fourth input; without it there is none.
@@ -34,8 +36,8 @@ class AsymmetricCritic(nn.Module):
     def __init__(
         self,
         observation_norm: RunningNormalizer,
-        extrinsic_norm: RunningNormalizer,
-        intrinsic_features: int,
+        extrinsic_norm: RunningNormalizer | None = None,
+        intrinsic_features: int = 0,
         cells: Sequence[int] = (512, 256, 128),
         outlook_norm: RunningNormalizer | None = None,
         scale: float = 10.0,
@@ -49,9 +51,12 @@ class AsymmetricCritic(nn.Module):
         in_features = intrinsic_features + sum(norm.shape.numel() for norm in norms)
         self.net = MLP(in_features, 1, num_cells=list(cells), activation_class=nn.ELU)
 
-    def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor, *outlook: Tensor) -> Tensor:
-        """Return the value, (*B, 1), from (*B, O), (*B, I), (*B, E) and, if built for it, (*B, K) (SI units)."""
-        inputs = [self.observation_norm(observation), intrinsic, self.extrinsic_norm(extrinsic)]
-        if self.outlook_norm is not None:
-            inputs += [self.outlook_norm(value) for value in outlook]
+    def forward(self, observation: Tensor, *privileged: Tensor) -> Tensor:
+        """Return the value, (*B, 1), from (*B, O) and, if built for them, (*B, I), (*B, E), (*B, K) (SI units)."""
+        inputs = [self.observation_norm(observation)]
+        if self.extrinsic_norm is not None:
+            intrinsic, extrinsic, *outlook = privileged
+            inputs += [intrinsic, self.extrinsic_norm(extrinsic)]
+            if self.outlook_norm is not None:
+                inputs += [self.outlook_norm(value) for value in outlook]
         return self.scale * self.net(torch.cat(inputs, -1))

@@ -145,6 +145,14 @@ class CorrelatedGaussian(TensorDictModuleBase):
         tensordict.set(self.out_keys[0], action)
         return tensordict.set(self.out_keys[1], normal.log_prob(action))
 
+    def get_extra_state(self) -> dict[str, Any]:
+        """The noise that runs on, (*B, A), or None before the first step."""
+        return {"noise": self._noise}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`get_extra_state`."""
+        self._noise = state["noise"]
+
 
 def correlate(actor: ProbabilisticActor, correlation: float, action: NestedKey = "action") -> TensorDictSequential:
     """Replace an actor's sampling by :class:`CorrelatedGaussian`; the networks stay shared.

@@ -120,7 +120,9 @@ class RidingNetworks(nn.Module):
     def critic_module(self) -> ValueOperator:
         """Critic: observation, both privileged entries and the outlook, if used, to the state value (*B, 1)."""
         keys = self.keys
-        in_keys = [keys.observation, keys.intrinsic, keys.extrinsic]
+        in_keys = [keys.observation]
+        if self.critic.extrinsic_norm is not None:
+            in_keys += [keys.intrinsic, keys.extrinsic]
         if self.critic.outlook_norm is not None:
             in_keys.append(keys.outlook)
         return ValueOperator(self.critic, in_keys=in_keys, out_keys=[keys.state_value])
@@ -211,6 +213,7 @@ def make_networks(
     latent_features: int = 16,
     actor_cells: Sequence[int] = (512, 256, 128),
     critic_cells: Sequence[int] = (512, 256, 128),
+    privileged_critic: bool = True,
     init_std: float | Sequence[float] = 0.3,
     min_std: float = 0.05,
     noise_basis: Tensor | None = None,
@@ -228,6 +231,7 @@ def make_networks(
         latent_features (int): size of z. Defaults to 16.
         actor_cells (sequence of int): hidden widths of the actor.
         critic_cells (sequence of int): hidden widths of the critic.
+        privileged_critic (bool): whether the critic reads more than the observation (reading A20).
         init_std (float or sequence of float): initial exploration, in units of the action; one per column of the
             noise basis if it is a sequence.
         min_std (float): its floor.
@@ -284,7 +288,9 @@ def make_networks(
         backbone=ActorBackbone(
             obs_norm, ext_norm, latent_features, actions, actor_cells, init_std, min_std, noise_basis, products
         ),
-        critic=AsymmetricCritic(obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm),
+        critic=AsymmetricCritic(obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm)
+        if privileged_critic
+        else AsymmetricCritic(obs_norm, cells=critic_cells),
         keys=keys,
     )
 

@@ -1,11 +1,12 @@
 """The recipe: configuration, trainer, learner, checkpoints and logs."""
 
+from torchrl_atr.training.assembly import DEPLOYED, load_run, make_env, make_run_networks
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.config_io import make_config, read_config
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.recipes import RECIPE_POINTS
-from torchrl_atr.training.trainer import DEPLOYED, Trainer, load_run, make_env, make_run_networks
+from torchrl_atr.training.trainer import Trainer
 
 __all__ = [
     "DEPLOYED",

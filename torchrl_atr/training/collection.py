@@ -2,37 +2,58 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import signal
+import socket
+import textwrap
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
+from torchrl_atr._errors import UserError
 from torchrl_atr.envs.transforms import CommandCurriculum
 from torchrl_atr.training.config import TrainConfig
 
 _DROPPED: tuple[Any, ...] = (("next", "history"), "reward_terms", "episode_reward", ("next", "command"))
 # Neither GAE nor the losses read these; the next history alone would be a third of a batch.
+_PLAIN = {"auto_register_policy_transforms": False}
+"""The policy brings no transforms of its own."""
 _CURRICULUM = "env.transform[0]"
+_ENDLESS = 2**62
+"""Frames, for the engines that do not read -1 as endless."""
+_SEED_STRIDE = 1000
+"""Between the seeds of two workers."""
+
+
+class CollectionError(UserError, RuntimeError):
+    """Workers that could not be started, or died."""
 
 
 class Collection:
     """Batches (N, T) of a policy that is being trained, from one or more batched envs.
 
-    With ``collector="direct"`` the env of this process is stepped; otherwise each of ``workers`` processes steps its
-    share of the robots with its share of the CPUs, and the workers' curricula are merged by :meth:`exchange`.
+    With ``collector="direct"`` the env of this process is stepped; otherwise each of ``workers`` steps its share of the
+    robots with its share of the CPUs. The curricula of ``process`` and ``ray`` workers are merged by :meth:`exchange`;
+    ``distributed`` workers cannot be called from here, so that each grows its own.
 
     Args:
         config: of the run.
         env: this process's env; its first transform is the curriculum that is saved and shown.
         make_env: ``make_env(num_envs=n, seed=s, num_threads=t)`` for a worker.
         policy: shared with the learner.
+
+    Raises:
+        CollectionError: if a worker dies while it starts.
     """
 
     def __init__(
@@ -42,67 +63,187 @@ class Collection:
         make_env: Callable[..., TransformedEnv],
         policy: TensorDictModuleBase,
     ) -> None:
-        self.config, self.env = config, env
+        self.config, self.env, self.policy = config, env, policy
         self.curriculum: CommandCurriculum = env.transform[0]
         self.remote = config.collector != "direct"
-        self.collector = self._make(make_env, policy)
-        if self.remote:
-            self._spread()
+        self.callable = config.collector in ("process", "ray")
+        self._broken = False
+        self.collector = self._make(make_env)
+        self.publish()
+        self._spread()
+        self._batches = iter(self.collector)
 
-    def _make(self, make_env: Callable[..., TransformedEnv], policy: TensorDictModuleBase) -> BaseCollector:
+    def _make(self, make_env: Callable[..., TransformedEnv]) -> BaseCollector:
         config = self.config
         common: dict[str, Any] = {
             "frames_per_batch": config.frames_per_batch,
-            "total_frames": -1,
             "exploration_type": ExplorationType.RANDOM,
             "policy_device": config.device,
             "env_device": "cpu",
             "storing_device": "cpu",
             "postproc": _drop,
-            "auto_register_policy_transforms": False,
         }
         if not self.remote:
-            return Collector(self.env, policy, **common)
+            return Collector(self.env, self.policy, track_traj_ids=False, **_PLAIN, **common)
         share, cpus = config.num_envs // config.workers, config.num_threads or len(os.sched_getaffinity(0))
         makers = [
             partial(
-                make_env, num_envs=share, seed=config.seed + 1000 * worker, num_threads=max(1, cpus // config.workers)
+                _worker_env,
+                make_env,
+                self.curriculum.weights.clone(),
+                num_envs=share,
+                seed=config.seed + _SEED_STRIDE * (worker + 1),
+                num_threads=max(1, cpus // config.workers),
             )
             for worker in range(config.workers)
         ]
-        return Collector(makers, policy, num_collectors=config.workers, sync=True, cat_results=0, **common)
+        return Collector(makers, self.policy, num_collectors=config.workers, sync=True, **common, **_engine(config))
 
-    def __iter__(self) -> Iterator[TensorDictBase]:
-        return iter(self.collector)
+    def collect(self) -> TensorDictBase:
+        """The next batch, (N, T).
+
+        Raises:
+            CollectionError: if a worker died.
+        """
+        with self._workers():
+            batch = next(self._batches)
+        return batch.flatten(0, 1) if batch.ndim == 3 else batch
 
     def publish(self) -> None:
-        """Hands the learner's parameters to the workers."""
+        """Hands the learner's parameters to the workers.
+
+        Raises:
+            CollectionError: if a worker died.
+        """
         if self.remote:
-            self.collector.update_policy_weights_()
+            with self._workers():
+                self.collector.update_policy_weights_()
 
     @torch.no_grad()
     def exchange(self) -> None:
-        """Merges the workers' curricula by elementwise maximum and gives the result back to all of them."""
-        if not self.remote:
-            return
-        for weights in self.collector.get_distant_attr(f"{_CURRICULUM}.weights"):
-            self.curriculum.merge_(weights)
-        self._spread()
+        """Merges the workers' curricula by elementwise maximum and gives the result back to all of them.
+
+        Raises:
+            CollectionError: if a worker died.
+        """
+        if self.callable:
+            with self._workers():
+                for weights in self.collector.get_distant_attr(f"{_CURRICULUM}.weights"):
+                    self.curriculum.merge_(weights)
+                self._spread()
+
+    @contextmanager
+    def _workers(self) -> Iterator[None]:
+        """Turns what TorchRL's engines raise when a worker is gone into one error."""
+        try:
+            yield
+        except Exception as error:
+            if not self.remote:
+                raise
+            self._broken = True
+            raise CollectionError(
+                f"collector={self.config.collector!r}: a worker died ({_first_line(error)}); go on from the last "
+                "checkpoint with --resume"
+            ) from error
 
     def _spread(self) -> None:
-        arguments = [(self.curriculum.weights.clone(),)] * self.config.workers
-        self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
+        if self.callable:
+            arguments = [(self.curriculum.weights.clone(),)] * self.config.workers
+            self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
 
     @property
     def num_diverged(self) -> int:
-        """Simulations that have diverged so far."""
+        """Simulations that have diverged so far, where workers can be asked."""
         if not self.remote:
             return self.env.base_env.num_diverged
-        return sum(self.collector.get_distant_attr("env.base_env.num_diverged"))
+        return sum(self.collector.get_distant_attr("env.base_env.num_diverged")) if self.callable else 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """What the next batch depends on besides the networks, in plain dicts of tensors; empty with workers.
+
+        Workers start new episodes when a run is resumed; in this process the robots go on where they were.
+        """
+        if self.remote:
+            return {}
+        base = self.env.base_env
+        return {
+            "env": base.get_state().to_dict(),
+            "env_rng": base.rng.get_state(),
+            "num_diverged": base.task.num_diverged,
+            "transforms": dict(self.env.transform.state_dict()),
+            "policy": {name: part.get_extra_state() for name, part in self._stateful()},
+            "carried": self.collector._carrier.to_dict(),  # the root of the next step; TorchRL's state_dict lacks it
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restores :meth:`state_dict`."""
+        if self.remote or not state:
+            return
+        base = self.env.base_env
+        base.set_state(TensorDict(state["env"], batch_size=base.batch_size))
+        base.rng.set_state(state["env_rng"])
+        base.task.num_diverged = state["num_diverged"]
+        self.env.transform.load_state_dict(state["transforms"])
+        for name, part in self._stateful():
+            part.set_extra_state(state["policy"][name])
+        self.collector._carrier.update(TensorDict(state["carried"], batch_size=base.batch_size))
+
+    def _stateful(self) -> list[tuple[str, Any]]:
+        """Parts of the policy with a state that is no parameter: noise that runs on."""
+        plain = torch.nn.Module.get_extra_state
+        return [(name, part) for name, part in self.policy.named_modules() if type(part).get_extra_state is not plain]
 
     def shutdown(self) -> None:
-        """Ends the workers; this process's env stays open."""
-        self.collector.shutdown(**({} if self.remote else {"close_env": False}))
+        """Ends the workers, whatever state they are in; this process's env stays open."""
+        if not self.remote:
+            self.collector.shutdown(close_env=False)
+            return
+        try:
+            self.collector.shutdown()
+        except RuntimeError:
+            if not self._broken:  # it waits for every worker's answer, and one is gone
+                raise
+        finally:
+            for process in getattr(self.collector, "jobs", ()):  # of the distributed engine
+                process.kill()
+                process.join()
+            if torch.distributed.is_initialized():
+                torch.distributed.destroy_process_group()
+
+
+def _engine(config: TrainConfig) -> dict[str, Any]:
+    """Arguments of TorchRL's ``Collector`` that differ between its engines."""
+    if config.collector == "process":
+        # workers wait while the learner computes: it keeps all of its threads
+        return {"total_frames": -1, "cat_results": 0, "num_threads": torch.get_num_threads(), **_PLAIN}
+    if config.collector == "ray":
+        cluster = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": config.workers, "include_dashboard": False}
+        options: dict[str, Any] = {"ray_init_config": cluster, "remote_configs": {"num_cpus": 1, "num_gpus": 0}}
+    else:
+        options = {"launcher": "mp", "backend": "gloo", "tcp_port": _free_port()}
+    options["collector_kwargs"] = dict(_PLAIN)
+    return {"backend": config.collector, "total_frames": _ENDLESS, "backend_options": options}
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("localhost", 0))
+        return probe.getsockname()[1]
+
+
+def _worker_env(make_env: Callable[..., TransformedEnv], weights: Tensor, *, seed: int, **share: Any) -> TransformedEnv:
+    """A worker's env, with the curriculum as it stands; seeds the exploration of the process it is made in."""
+    if multiprocessing.parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the trainer decides
+    torch.manual_seed(seed)
+    env = make_env(seed=seed, **share)
+    env.transform[0].load_weights(weights)
+    return env
+
+
+def _first_line(error: BaseException) -> str:
+    line = (str(error).strip() or type(error).__name__).splitlines()[0]
+    return textwrap.shorten(line, 160)
 
 
 def _drop(batch: TensorDictBase) -> TensorDictBase:

@@ -17,7 +17,7 @@ from torchrl_atr.envs.models.robot_file import is_robot_file
 from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.modules import SOURCES, Source
 
-COLLECTORS = ("direct", "process")
+COLLECTORS = ("direct", "process", "ray", "distributed")
 """Engines that collect batches."""
 
 
@@ -42,7 +42,8 @@ class TrainConfig:
         seed: of everything.
         device: of the learner; physics stays on the CPU.
         num_threads: physics threads; 0 for the CPUs this process may use.
-        collector: where the robots are simulated: ``direct`` in this process, ``process`` in ``workers`` others.
+        collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
+            engine ``process``, ``ray`` or ``distributed``.
         workers: processes that share the robots and the CPUs.
         gamma, gae_lambda: discount and GAE's λ.
         epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
@@ -64,6 +65,7 @@ class TrainConfig:
         dead_reckoning: whether the extrinsic estimator reads the odometry beside the history.
         normalize_targets: whether the extrinsic estimator's errors are measured in standard deviations (A25).
         steering_cue: whether the actor also reads tanh(c_v) c_ω, which has the sign of the lean that turns.
+        privileged_critic: whether the critic reads more than the observation (A20).
         student_fraction: share of the robots that act on the estimates under ``mixed``.
         history_length: H.
         critic_cells: hidden widths of the critic; the actor's are Table I's.
@@ -117,6 +119,7 @@ class TrainConfig:
     dead_reckoning: bool = True
     steering_cue: bool = True
     normalize_targets: bool = True
+    privileged_critic: bool = True
     student_fraction: float = 0.5
     history_length: int = 10
     critic_cells: tuple[int, ...] = (256, 128, 64)

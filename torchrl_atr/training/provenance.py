@@ -28,7 +28,19 @@ def provenance(config: TrainConfig, frames: int, seconds: float) -> dict[str, An
         "seed": config.seed,
         "frames": frames,
         "minutes": round(seconds / 60, 2),
-        "hardware": {"processor": _processor(), "cpus": len(os.sched_getaffinity(0)), "device": config.device},
+        **machine(config.device),
+    }
+
+
+def machine(device: str = "cpu") -> dict[str, Any]:
+    """``hardware`` and ``versions`` that a measurement was made with.
+
+    Example:
+        >>> machine()["hardware"]["device"]
+        'cpu'
+    """
+    return {
+        "hardware": {"processor": _processor(), "cpus": len(os.sched_getaffinity(0)), "device": device},
         "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
     }
 

@@ -34,6 +34,11 @@ RECIPE_POINTS: dict[str, Point] = {
         "Measured in standard deviations each counts.",
         literal=False,
     ),
+    "privileged_critic": Point(
+        "A20",
+        "The paper does not describe its critic.\n"
+        "It reads the privileged state, since only the actor is deployed; without, it reads o_t as a real robot could.",
+    ),
     "roa_ramp": Point(
         "A23",
         "Whether λ = 0.2 is constant or the end of a ramp is open.\nConstant; the ancestors ramp it up.",

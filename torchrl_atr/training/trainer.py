@@ -2,124 +2,30 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import TransformedEnv
 
 from torchrl_atr._files import atomic
-from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.rewards import MAX_TRACKING
 from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, get_estimator, leg_synergies, make_networks
-from torchrl_atr.training.checkpoint import NAME, CheckpointError, load_checkpoint, save_checkpoint
-from torchrl_atr.training.collection import Collection
-from torchrl_atr.training.config import ConfigError, TrainConfig
-from torchrl_atr.training.config_io import make_config
+from torchrl_atr.modules import correlate, get_estimator
+from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
+from torchrl_atr.training.checkpoint import NAME, save_checkpoint
+from torchrl_atr.training.collection import Collection, CollectionError
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.interrupt import Interrupt
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
-
-DEPLOYED: dict[str, Any] = {"moving_start": 0.0, "pushes": False, "runaway_margin": None, "max_steps": 2**31 - 1}
-"""Env arguments without what belongs to training only: a ride from rest that nothing but a fall ends."""
-
-
-def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
-    """The env that a configuration describes.
-
-    Args:
-        config: of a run.
-        **overrides: arguments of :func:`torchrl_atr.envs.make_riding_env` to replace.
-    """
-    arguments: dict[str, Any] = {
-        "robot": config.robot,
-        "transporter": config.transporter,
-        "num_envs": config.num_envs,
-        "profile": config.profile,
-        "num_threads": config.num_threads or None,
-        "seed": config.seed,
-        "moving_start": config.moving_start,
-        "history_length": config.history_length,
-        "max_steps": round(config.episode_seconds / CONTROL_DT),
-        "window": round(config.command_seconds / CONTROL_DT),
-        "thresholds": (config.tracking_threshold,) * 2,
-        "score_from": round(config.score_from_seconds / CONTROL_DT),
-        "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
-        "grid": CommandGrid(
-            initial=(config.initial_speed, config.initial_yaw_rate), count_own_twice=config.count_own_twice
-        ),
-    }
-    return make_riding_env(**{**arguments, **overrides})
-
-
-def import_modules(names: Sequence[str]) -> None:
-    """Imports user modules, so that they register their estimators; the working directory counts, as for ``python -m``.
-
-    Raises:
-        ConfigError: if one cannot be imported.
-    """
-    if names and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    for name in names:
-        try:
-            importlib.import_module(name)
-        except ImportError as error:
-            raise ConfigError(f"cannot import {name!r} ({error}); run where it can be found") from error
-
-
-def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
-    """The networks that a configuration describes, sized by the env's specs.
-
-    Raises:
-        UnknownNameError: for an unregistered estimator.
-    """
-    basis = leg_synergies()
-    alike, joints = len(basis) // 4, len(basis)
-    size = env.observation_spec["observation"].shape[-1]  # the command ends o_t
-    return make_networks(
-        env.observation_spec,
-        env.action_spec,
-        estimator=config.estimator,
-        critic_cells=config.critic_cells,
-        init_std=[config.init_std] * alike + [config.relative_std] * (joints - alike),
-        min_std=config.min_std,
-        noise_basis=basis,
-        products=[(size - 2, size - 1)] if config.steering_cue else [],
-        keys=NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None),
-    )
-
-
-def load_run(run: Path, **env_overrides: Any) -> tuple[TrainConfig, TransformedEnv, RidingNetworks, dict[str, Any]]:
-    """Config, env, trained networks and the whole checkpoint of a run folder.
-
-    Args:
-        run: the folder.
-        **env_overrides: see :func:`make_env`.
-
-    Raises:
-        CheckpointError: if there is no readable checkpoint.
-    """
-    state = load_checkpoint(run)
-    config = make_config(state["config"])
-    import_modules(config.imports)
-    env = make_env(config, **env_overrides)
-    networks = make_run_networks(config, env)
-    try:
-        networks.load_state_dict(state["learner"]["networks"])
-    except RuntimeError as error:
-        raise CheckpointError(f"the networks in {run} do not fit this code's: {error}") from error
-    return config, env, networks, state
 
 
 class Trainer:
@@ -128,7 +34,8 @@ class Trainer:
     Args:
         config: the recipe.
         run: folder for config, checkpoint, logs; made if missing.
-        state: a checkpoint to go on from.
+        state: a checkpoint to go on from. With ``collector="direct"``, the same threads and no time limit, the run goes
+            on bit for bit as if it had not stopped.
     """
 
     def __init__(self, config: TrainConfig, run: Path, state: dict[str, Any] | None = None) -> None:
@@ -146,42 +53,60 @@ class Trainer:
             networks.update_normalizers(self.env.rollout(config.rollout_steps))
         self.learner = Learner(networks.to(config.device), config)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
+        self._state = state
         if state is not None:
             self._restore(state)
         self.progress = Progress(run, config, resume_from=self.frames if state is not None else None)
 
-    def train(self, on_iteration: Callable[[dict[str, float]], None] | None = None) -> None:
+    def train(self, on_iteration: Callable[[dict[str, float]], None] | None = None) -> int | None:
         """Trains until ``total_frames`` or ``max_minutes``, saving a checkpoint first, now and then, and last.
+
+        SIGINT and SIGTERM end it after the iteration at hand, with a checkpoint.
 
         Args:
             on_iteration: called with each iteration's metrics.
+
+        Returns:
+            The signal that ended it early, or None.
         """
-        config = self.config
-        write_json(self.run / "config.json", config.to_dict())
-        self.save()
-        policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
-        self.collection = Collection(
-            config, self.env, partial(make_env, config), correlate(policy, config.noise_correlation)
-        )
-        saved = time.monotonic()
-        started = time.monotonic() - self.seconds
+        write_json(self.run / "config.json", self.config.to_dict())
+        self.collection = self._start_collection()
         try:
-            with self.progress:
-                batches = iter(self.collection)
-                while not self.finished:
-                    self.learner.anneal(self.progress_made)
-                    metrics = self._iterate(next(batches), started)
-                    self.progress.update(metrics)
-                    if on_iteration is not None:
-                        on_iteration(metrics)
-                    if time.monotonic() - saved > config.checkpoint_seconds:
-                        self.save()
-                        saved = time.monotonic()
-        except KeyboardInterrupt:
-            sys.stdout.write(f"stopped; go on with: torchrl-atr train --resume {self.run}\n")
+            self.save()
+            with self.progress, Interrupt() as interrupt:
+                self._loop(interrupt, on_iteration)
+            self.save()
+        except CollectionError:
+            self.save()  # what was learned is whole: it was the next batch that did not come
+            raise
         finally:
             self.collection.shutdown()
-            self.save()
+        if interrupt.signal is not None:
+            sys.stdout.write(f"stopped; go on with: torchrl-atr train --resume {self.run}\n")
+        return interrupt.signal
+
+    def _start_collection(self) -> Collection:
+        config = self.config
+        policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
+        policy = correlate(policy, config.noise_correlation)
+        collection = Collection(config, self.env, partial(make_env, config), policy)
+        if self._state is not None:
+            collection.load_state_dict(self._state.get("collection", {}))
+            torch.set_rng_state(self._state["rng"])  # last: building all this drew from it
+        return collection
+
+    def _loop(self, interrupt: Interrupt, on_iteration: Callable[[dict[str, float]], None] | None) -> None:
+        saved = time.monotonic()
+        started = saved - self.seconds
+        while not self.finished and interrupt.signal is None:
+            self.learner.anneal(self.progress_made)
+            metrics = self._iterate(started)
+            self.progress.update(metrics)
+            if on_iteration is not None:
+                on_iteration(metrics)
+            if time.monotonic() - saved > self.config.checkpoint_seconds:
+                self.save()
+                saved = time.monotonic()
 
     @property
     def progress_made(self) -> float:
@@ -194,21 +119,26 @@ class Trainer:
         """Whether frames or minutes have run out."""
         return self.progress_made >= 1
 
-    def _iterate(self, batch: TensorDictBase, started: float) -> dict[str, float]:
+    def _iterate(self, started: float) -> dict[str, float]:
+        batch = self.collection.collect()
         collected = time.monotonic()
-        metrics = batch_metrics(batch, self._tracking_max)
-        metrics.update(self.learner.update(batch))
-        self.collection.publish()
-        self.collection.exchange()
+        metrics = self._learn(batch)
         now = time.monotonic()
         elapsed = now - started
         metrics["collect_seconds"] = collected - started - self.seconds
         metrics["learn_seconds"] = now - collected
+        metrics["frames_per_second"] = self.config.frames_per_batch / (elapsed - self.seconds)
         self.frames += self.config.frames_per_batch
         self.iteration += 1
-        metrics["frames_per_second"] = self.config.frames_per_batch / (elapsed - self.seconds)
         self.seconds = elapsed
         metrics["frames"], metrics["iteration"], metrics["minutes"] = self.frames, self.iteration, elapsed / 60
+        return metrics
+
+    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
+        metrics = batch_metrics(batch, self._tracking_max)
+        metrics.update(self.learner.update(batch))
+        self.collection.publish()
+        self.collection.exchange()
         metrics["command_area"] = self.curriculum.command_area[0]
         metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
         metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
@@ -216,7 +146,7 @@ class Trainer:
         return metrics
 
     def save(self) -> None:
-        """Writes the checkpoint (config, learner, curriculum, counters) and where it comes from."""
+        """Writes the checkpoint (config, learner, curriculum, collection, counters) and where it comes from."""
         origin = provenance(self.config, self.frames, self.seconds)
         write_json(self.run / "run.json", origin)
         save_checkpoint(
@@ -225,11 +155,11 @@ class Trainer:
                 "config": self.config.to_dict(),
                 "learner": self.learner.state_dict(),
                 "curriculum": {"weights": self.curriculum.weights, **self.curriculum.get_extra_state()},
+                "collection": self.collection.state_dict(),
                 "frames": self.frames,
                 "iteration": self.iteration,
                 "seconds": self.seconds,
                 "rng": torch.get_rng_state(),
-                "env_rng": self.env.base_env.rng.get_state(),
                 "provenance": origin,
             },
         )
@@ -240,8 +170,6 @@ class Trainer:
         self.curriculum.set_extra_state({k: v for k, v in state["curriculum"].items() if k != "weights"})
         self.frames, self.iteration = state["frames"], state["iteration"]
         self.seconds = state["seconds"]
-        torch.set_rng_state(state["rng"])
-        self.env.base_env.rng.set_state(state["env_rng"])
 
 
 def write_json(path: Path, value: Any) -> None:

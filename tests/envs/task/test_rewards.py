@@ -100,6 +100,24 @@ def test_polygon_is_the_quadrilateral_of_the_feet():
     assert outside_polygon(points, feet).tolist() == [0, 0, 1, 0, 1, 1]
 
 
+def test_polygon_of_the_feet_in_contact():
+    feet = torch.tensor([[0.2, -0.1], [-0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]).expand(5, 4, 2)  # FR, RR, FL, RL
+    point = torch.tensor([0.1, 0.06]).expand(5, 2)  # towards FL, just left of the diagonal RR-FL
+    lifted = [(), (0,), (1,), (2,), (0, 3)]
+    contacts = torch.tensor([[leg not in legs for leg in range(4)] for legs in lifted])
+    # FR or RR may be lifted; without FL it tips; two feet are a line
+    assert outside_polygon(point, feet, contacts).tolist() == [0, 0, 0, 1, 1]
+    assert outside_polygon(point, feet).tolist() == [0] * 5
+
+
+@pytest.mark.parametrize("term", ["com_stabilization", "zmp_stabilization"])
+def test_a_lifted_foot_shrinks_the_polygon_only_if_read_so(make_context, term):
+    lifted = {"foot_force": forces(30.0, 30.0, 0.0, 30.0), "com": [0.1, 0.06, 0.5]}
+    for contacting, expected in ((False, 0.0), (True, -1.0)):
+        context = make_context(**lifted, readings=Readings(contacting_polygon=contacting))
+        assert REWARD_TERMS[term](context).item() == expected
+
+
 def test_penalties_are_never_positive(make_context):
     generator = torch.Generator().manual_seed(0)
     example = make_context()

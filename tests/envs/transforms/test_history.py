@@ -43,6 +43,13 @@ def test_by_hand():
     assert history.tolist() == [[0, 0, 0], [0, 0, 0], [0, 0, 1], [0, 1, 2], [1, 2, 3]]
 
 
+def test_with_the_current_observation_at_its_end():
+    env = TransformedEnv(ToyEnv((1,), lifetime=3), ObservationHistory(H, include_current=True))
+    data = env.rollout(4, break_when_any_done=False)
+    assert data["history"][0, :, :, 2].tolist() == [[0, 0, 0], [0, 0, 1], [0, 1, 2], [0, 0, 0]]
+    assert torch.equal(data["history"][..., -1, :], data["observation"])
+
+
 @pytest.mark.parametrize("length", [1, 3, 10])
 @pytest.mark.parametrize("batch", [(), (4,), (2, 2)])
 def test_never_across_an_episode(batch, length):

@@ -104,14 +104,14 @@ def heading_alignment(c: RewardContext) -> Tensor:
 
 @reward_term("com_stabilization")
 def com_stabilization(c: RewardContext) -> Tensor:
-    """r4 = -k4 [CoM outside the foot polygon], all four feet (A31)."""
-    return -1.0 * outside_polygon(c.state.com[:, :2], c.state.foot_position[..., :2])
+    """r4 = -k4 [CoM outside the foot polygon], of all four feet or of those in contact (A31)."""
+    return -1.0 * _outside_feet(c, c.state.com[:, :2])
 
 
 @reward_term("zmp_stabilization")
 def zmp_stabilization(c: RewardContext) -> Tensor:
     """r5 = -k5 [ZMP outside the foot polygon]."""
-    return -1.0 * outside_polygon(zero_moment_point(c.state), c.state.foot_position[..., :2])
+    return -1.0 * _outside_feet(c, zero_moment_point(c.state))
 
 
 @reward_term("contact_maintenance")
@@ -200,21 +200,36 @@ def termination(c: RewardContext) -> Tensor:
     return TERMINATION * c.terminated.to(c.action.dtype)
 
 
-def outside_polygon(point: Tensor, feet: Tensor) -> Tensor:
-    """Whether a point lies outside the quadrilateral of the feet.
+_AROUND = [0, 2, 3, 1]
+"""FR, FL, RL, RR: counter-clockwise seen from above."""
+
+
+def _outside_feet(c: RewardContext, point: Tensor) -> Tensor:
+    contacts = c.state.contacts > 0 if c.readings.contacting_polygon else None
+    return outside_polygon(point, c.state.foot_position[..., :2], contacts)
+
+
+def outside_polygon(point: Tensor, feet: Tensor, contacts: Tensor | None = None) -> Tensor:
+    """Whether a point lies outside the polygon of the feet.
 
     Args:
         point: (N, 2).
         feet: (N, 4, 2) in the order FR, RR, FL, RL.
+        contacts: which of them are corners, (N, 4) bool; all by default. Fewer than three span nothing.
 
     Returns:
         (N,) 0 or 1.
     """
-    corners = feet[:, [0, 2, 3, 1]]  # FR, FL, RL, RR: counter-clockwise seen from above
+    corners = feet[:, _AROUND]
+    if contacts is not None:  # one lifted foot moves onto the next: its edge shrinks to a point
+        corners = torch.where(contacts[:, _AROUND].unsqueeze(-1), corners, corners.roll(-1, dims=1))
     edges = corners.roll(-1, dims=1) - corners
     to_point = point.unsqueeze(1) - corners
     cross = edges[..., 0] * to_point[..., 1] - edges[..., 1] * to_point[..., 0]
-    return (cross < 0.0).any(-1).to(point.dtype)
+    outside = (cross < 0.0).any(-1)
+    if contacts is not None:
+        outside = outside | (contacts.sum(-1) < 3)
+    return outside.to(point.dtype)
 
 
 def zero_moment_point(state: RidingState) -> Tensor:

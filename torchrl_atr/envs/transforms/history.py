@@ -32,6 +32,8 @@ class ObservationHistory(Transform):
         in_key: The observation, ``(*B, D)``.
         out_key: The history, ``(*B, H, D)``, of the observation's dtype.
 
+        include_current: Whether the history is o_{t-H+1} ... o_t instead (the other reading of A19).
+
     Raises:
         ValueError: ``length`` is not positive.
 
@@ -42,11 +44,18 @@ class ObservationHistory(Transform):
 
     _frames: Tensor | None
 
-    def __init__(self, length: int, in_key: NestedKey = "observation", out_key: NestedKey = "history") -> None:
+    def __init__(
+        self,
+        length: int,
+        in_key: NestedKey = "observation",
+        out_key: NestedKey = "history",
+        include_current: bool = False,
+    ) -> None:
         if length < 1:
             raise ValueError(f"length must be at least 1, got {length}")
         super().__init__(in_keys=[in_key], out_keys=[out_key])
         self.length = int(length)
+        self.include_current = include_current
         # o_{t-H} ... o_t, (*B, H + 1, D). Never written in place: the emitted histories are views of it.
         self.register_buffer("_frames", None, persistent=False)
 
@@ -103,4 +112,5 @@ class ObservationHistory(Transform):
 
     def _emit(self, tensordict: TensorDictBase) -> TensorDictBase:
         assert self._frames is not None
-        return tensordict.set(self.out_keys[0], self._frames[..., :-1, :])
+        shown = self._frames[..., 1:, :] if self.include_current else self._frames[..., :-1, :]
+        return tensordict.set(self.out_keys[0], shown)

@@ -16,6 +16,7 @@ def riding_transforms(
     tracking_max: Sequence[float],
     *,
     history_length: int = 10,
+    include_current: bool = False,
     max_steps: int = 1000,
     runaway_margin: tuple[float, float] | None = None,
     runaway_penalty: float = 0.0,
@@ -31,6 +32,7 @@ def riding_transforms(
     Args:
         tracking_max: See :class:`CommandCurriculum`.
         history_length: H, past observations in ``history``.
+        include_current: Whether the history ends with o_t (reading A19).
         max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
         runaway_margin: If given, of a :class:`RunawayTermination` behind the curriculum, m/s and rad/s.
         runaway_penalty: Added to the reward of a runaway.
@@ -50,7 +52,7 @@ def riding_transforms(
         command,
         *guards,
         CatTensors(["proprio", command.command_key], "observation", sort=False, del_keys=False),
-        ObservationHistory(history_length),
+        ObservationHistory(history_length, include_current=include_current),
         StepCounter(max_steps),
         RewardSum(),
     )

@@ -1,0 +1,138 @@
+"""How long each robot stands on each transporter when nobody acts: ``python -m benchmarks.standing``.
+
+Before anything is learned: zero action, drive on, command zero, no pushes. Measured with the trunk's centre of mass
+centred, in the full training range, and, for the large robots, on Table II's springs as printed (reading A12).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+
+from torchrl_atr._files import atomic
+from torchrl_atr.envs import ROBOTS, RidingEnv, get_readings
+from torchrl_atr.envs.models import DESIGNS
+from torchrl_atr.envs.task.randomization import intrinsic_slices
+from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.training.provenance import machine
+from torchrl_atr.training.trainer import write_json
+
+
+@torch.no_grad()
+def survival(
+    robot: str,
+    transporter: str,
+    *,
+    centred: bool,
+    scaled_springs: bool = True,
+    robots: int = 512,
+    seconds: float = 5.0,
+    seed: int = 0,
+    num_threads: int | None = None,
+) -> float:
+    """Share of robots still up after ``seconds`` of zero action.
+
+    Args:
+        robot: its name.
+        transporter: its name.
+        centred: whether the trunk's CoM shift is zero instead of drawn; all else is in its training range.
+        scaled_springs: the reading of that name (A12); without it large transporters carry Table II's springs.
+        robots: how many draws.
+        seconds: of standing.
+        seed: of intrinsics and initial states.
+        num_threads: of the physics.
+    """
+    readings = get_readings("default", scaled_springs=scaled_springs)
+    env = RidingEnv(robot, transporter, robots, profile=readings, pushes=False, seed=seed, num_threads=num_threads)
+    if centred:
+        state = env.get_state()
+        x_int = state["x_int"].clone()
+        x_int[:, intrinsic_slices(env.task.joints)["com_shift"]] = 0.0  # the middle of a range about zero
+        env.set_state(state.set("x_int", x_int))
+    stand = TensorDict({"action": torch.zeros(env.action_spec.shape)}, [robots])
+    up = torch.ones(robots, dtype=torch.bool)
+    for _ in range(round(seconds / CONTROL_DT)):
+        up &= ~env.step(stand)["next", "terminated"].squeeze(-1)
+    env.close(raise_if_closed=False)
+    return float(up.float().mean())
+
+
+def cases() -> Iterator[dict[str, Any]]:
+    """What is measured: every pair, centred and not, the large robots on both kinds of springs."""
+    for robot in ROBOTS.names():
+        for transporter in DESIGNS:
+            for scaled in (True, False) if ROBOTS.get(robot).group == "G2" else (True,):
+                for centred in (True, False):
+                    yield {
+                        "robot": robot,
+                        "transporter": transporter,
+                        "centred": centred,
+                        "scaled_springs": scaled,
+                    }
+
+
+def table(report: dict[str, Any]) -> str:
+    """The report as Markdown."""
+    hardware = report["hardware"]
+    cores = f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)}"
+    found = {
+        (row["robot"], row["transporter"], row["scaled_springs"], row["centred"]): row["survival"]
+        for row in report["survival"]
+    }
+    lines = [
+        "# Standing without acting",
+        "",
+        f"`{report['command']}`: {report['wall_seconds']:.0f} s on {cores} ({hardware['processor']}).",
+        "",
+        f"Share of {report['robots']} robots (seed {report['seed']}) that are still up after {report['seconds']:g} s "
+        "of zero action, command zero, drive on, no pushes, intrinsics of Table II's training range: with the trunk's "
+        "centre of mass centred and everything else drawn, and with everything drawn (centre of mass ±20 cm). The "
+        "springs of the large (G2) transporters are five times Table II's by default (reading A12, field "
+        "`scaled_springs`).",
+        "",
+        "| robot | transporter | springs | CoM centred | full range |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for robot, transporter, scaled in dict.fromkeys(key[:3] for key in found):
+        springs = "as printed" if not scaled or ROBOTS.get(robot).group == "G1" else "five times"
+        shares = (f"{found[robot, transporter, scaled, centred]:.1%}" for centred in (True, False))
+        lines.append(f"| {robot} | {transporter} | {springs} | {' | '.join(shares)} |")
+    return "\n".join([*lines, ""])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measures all cases and writes ``standing.json`` and ``README.md``."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.standing", description=__doc__)
+    parser.add_argument("--output", type=Path, default=Path("results/standing"), metavar="FOLDER")
+    parser.add_argument("--robots", type=int, default=512)
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args(argv)
+    setup = {"robots": arguments.robots, "seconds": arguments.seconds, "seed": arguments.seed}
+    started, rows = time.monotonic(), []
+    for case in cases():
+        rows.append({**case, "survival": survival(**case, **setup)})
+        sys.stdout.write(", ".join(f"{name} {value}" for name, value in rows[-1].items()) + "\n")
+        sys.stdout.flush()
+    report = {
+        "command": "python -m benchmarks.standing" + "".join(f" --{name} {value:g}" for name, value in setup.items()),
+        **setup,
+        "wall_seconds": round(time.monotonic() - started, 1),
+        "survival": rows,
+        **machine(),
+    }
+    write_json(arguments.output / "standing.json", report)
+    with atomic(arguments.output / "README.md") as file:
+        file.write_text(table(report))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

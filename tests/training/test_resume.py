@@ -1,0 +1,69 @@
+"""A run that stopped goes on as if it had not."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+import torch
+
+from torchrl_atr.training import Trainer, load_checkpoint, make_config
+
+FRAMES = 6 * 64
+SMALL = {
+    "num_envs": 8,
+    "rollout_steps": 8,
+    "total_frames": FRAMES,
+    "num_threads": 1,
+    "minibatches": 2,
+    "epochs": 2,
+    "episode_seconds": 0.3,  # some episodes end in every batch
+    "command_seconds": 0.2,
+    "score_from_seconds": 0.02,
+}
+
+
+def differing(one, two, path=""):
+    """Paths at which two nested states differ, bit for bit."""
+    if isinstance(one, dict):
+        if one.keys() != two.keys():
+            return [f"{path}: {one.keys() ^ two.keys()}"]
+        return [line for key in one for line in differing(one[key], two[key], f"{path}/{key}")]
+    if isinstance(one, list | tuple):
+        return [line for i, (a, b) in enumerate(zip(one, two, strict=True)) for line in differing(a, b, f"{path}/{i}")]
+    if isinstance(one, torch.Tensor):
+        return [] if torch.equal(one, two) else [path]
+    return [] if one == two else [path]
+
+
+def interrupt_after(iteration):
+    """What a scheduler does to a run."""
+
+    def check(metrics):
+        if metrics["iteration"] == iteration:
+            signal.raise_signal(signal.SIGTERM)
+
+    return check
+
+
+@pytest.mark.parametrize("act_source", ["mixed", "privileged"])
+def test_resumed_equals_uninterrupted_bit_for_bit(tmp_path, act_source):
+    config = make_config({**SMALL, "act_source": act_source})
+    straight = Trainer(config, tmp_path / "straight")
+    straight.train()
+
+    first = Trainer(config, tmp_path / "resumed")
+    assert first.train(interrupt_after(3)) == signal.SIGTERM
+    state = load_checkpoint(tmp_path / "resumed")
+    assert state["frames"] == FRAMES // 2
+    resumed = Trainer(config, tmp_path / "resumed", state)
+    resumed.train()
+
+    ends = [load_checkpoint(tmp_path / name) for name in ("straight", "resumed")]
+    for end in ends:
+        for wall_clock in ("seconds", "provenance"):
+            del end[wall_clock]
+    assert differing(*ends) == []
+    uniforms = [trainer.curriculum._generator.get_state() for trainer in (straight, resumed)]
+    assert torch.equal(*uniforms)  # the next commands are the same
+    assert differing(state["learner"]["networks"], ends[1]["learner"]["networks"])  # it did go on

@@ -1,0 +1,111 @@
+"""From a configuration to its env and networks, and from a run folder back to both."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from torchrl.envs import TransformedEnv
+
+from torchrl_atr.envs import make_riding_env
+from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.transforms import CommandGrid
+from torchrl_atr.modules import NetworkKeys, RidingNetworks, leg_synergies, make_networks
+from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
+from torchrl_atr.training.config import ConfigError, TrainConfig
+from torchrl_atr.training.config_io import make_config
+
+DEPLOYED: dict[str, Any] = {"moving_start": 0.0, "pushes": False, "runaway_margin": None, "max_steps": 2**31 - 1}
+"""Env arguments without what belongs to training only: a ride from rest that nothing but a fall ends."""
+
+
+def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
+    """The env that a configuration describes.
+
+    Args:
+        config: of a run.
+        **overrides: arguments of :func:`torchrl_atr.envs.make_riding_env` to replace.
+    """
+    arguments: dict[str, Any] = {
+        "robot": config.robot,
+        "transporter": config.transporter,
+        "num_envs": config.num_envs,
+        "profile": config.profile,
+        "num_threads": config.num_threads or None,
+        "seed": config.seed,
+        "moving_start": config.moving_start,
+        "history_length": config.history_length,
+        "max_steps": round(config.episode_seconds / CONTROL_DT),
+        "window": round(config.command_seconds / CONTROL_DT),
+        "thresholds": (config.tracking_threshold,) * 2,
+        "score_from": round(config.score_from_seconds / CONTROL_DT),
+        "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
+        "grid": CommandGrid(
+            initial=(config.initial_speed, config.initial_yaw_rate), count_own_twice=config.count_own_twice
+        ),
+    }
+    return make_riding_env(**{**arguments, **overrides})
+
+
+def import_modules(names: Sequence[str]) -> None:
+    """Imports user modules, so that they register their estimators; the working directory counts, as for ``python -m``.
+
+    Raises:
+        ConfigError: if one cannot be imported.
+    """
+    if names and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    for name in names:
+        try:
+            importlib.import_module(name)
+        except ImportError as error:
+            raise ConfigError(f"cannot import {name!r} ({error}); run where it can be found") from error
+
+
+def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
+    """The networks that a configuration describes, sized by the env's specs.
+
+    Raises:
+        UnknownNameError: for an unregistered estimator.
+    """
+    basis = leg_synergies()
+    alike, joints = len(basis) // 4, len(basis)
+    size = env.observation_spec["observation"].shape[-1]  # the command ends o_t
+    return make_networks(
+        env.observation_spec,
+        env.action_spec,
+        estimator=config.estimator,
+        critic_cells=config.critic_cells,
+        privileged_critic=config.privileged_critic,
+        init_std=[config.init_std] * alike + [config.relative_std] * (joints - alike),
+        min_std=config.min_std,
+        noise_basis=basis,
+        products=[(size - 2, size - 1)] if config.steering_cue else [],
+        keys=NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None),
+    )
+
+
+def load_run(run: Path, **env_overrides: Any) -> tuple[TrainConfig, TransformedEnv, RidingNetworks, dict[str, Any]]:
+    """Config, env, trained networks and the whole checkpoint of a run folder.
+
+    Args:
+        run: the folder.
+        **env_overrides: see :func:`make_env`.
+
+    Raises:
+        CheckpointError: if there is no readable checkpoint.
+    """
+    state = load_checkpoint(run)
+    config = make_config(state["config"])
+    import_modules(config.imports)
+    env = make_env(config, **env_overrides)
+    networks = make_run_networks(config, env)
+    try:
+        networks.load_state_dict(state["learner"]["networks"])
+    except RuntimeError as error:
+        raise CheckpointError(f"the networks in {run} do not fit this code's: {error}") from error
+    return config, env, networks, state
