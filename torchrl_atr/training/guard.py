@@ -61,8 +61,8 @@ class StepGuard:
         self._in_a_row[kind] += 1
         if self._in_a_row[kind] > self.patience:
             raise TrainingDiverged(
-                f"{self._in_a_row[kind]} optimiser steps in a row were not finite ({', '.join(culprits)}); the run ends at "
-                "its last checkpoint: go on from it with --resume, or start with a lower learning rate"
+                f"{self._in_a_row[kind]} optimiser steps in a row were not finite ({', '.join(culprits)}): the run "
+                "ends with its last checkpoint, go on from it with --resume or start anew with a lower learning rate"
             )
         return False
 

@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,7 @@ class Trainer:
             networks.update_normalizers(self.env.rollout(config.rollout_steps))
         self.learner = Learner(networks.to(config.device), config)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
-        self.collection: Collection | None = None  # from train() on
+        self._mark = time.monotonic()  # the end of the last iteration
         self._state = state
         if state is not None:
             self._restore(state)
@@ -73,22 +73,25 @@ class Trainer:
             The signal that ended it early, or None.
         """
         write_json(self.run / "config.json", self.config.to_dict())
-        self.collection = collection = self._start_collection()
         try:
+            _ = self.collection  # workers take a while: not part of the first iteration's time
             self.save()
             with self.progress, Interrupt() as interrupt:
-                self._loop(collection, interrupt, on_iteration)
+                self._loop(interrupt, on_iteration)
             self.save()
         except CollectionError:
             self.save()  # what was learned is whole: it was the next batch that did not come
             raise
         finally:
-            collection.shutdown()
+            if "collection" in vars(self):
+                self.collection.shutdown()
         if interrupt.signal is not None:
             sys.stdout.write(f"stopped; go on with: torchrl-atr train --resume {self.run}\n")
         return interrupt.signal
 
-    def _start_collection(self) -> Collection:
+    @cached_property
+    def collection(self) -> Collection:
+        """Where batches come from; workers start when it is first asked for, and end with :meth:`train`."""
         config = self.config
         policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
         policy = correlate(policy, config.noise_correlation)
@@ -98,17 +101,10 @@ class Trainer:
             torch.set_rng_state(self._state["rng"])  # last: building all this drew from it
         return collection
 
-    def _loop(
-        self,
-        collection: Collection,
-        interrupt: Interrupt,
-        on_iteration: Callable[[dict[str, float]], None] | None,
-    ) -> None:
-        saved = time.monotonic()
-        started = saved - self.seconds
+    def _loop(self, interrupt: Interrupt, on_iteration: Callable[[dict[str, float]], None] | None) -> None:
+        saved = self._mark = time.monotonic()
         while not self.finished and interrupt.signal is None:
-            self.learner.anneal(self.progress_made)
-            metrics = self._iterate(collection, started)
+            metrics = self.iterate()
             self.progress.update(metrics)
             if on_iteration is not None:
                 on_iteration(metrics)
@@ -127,30 +123,35 @@ class Trainer:
         """Whether frames or minutes have run out."""
         return self.progress_made >= 1
 
-    def _iterate(self, collection: Collection, started: float) -> dict[str, float]:
-        batch = collection.collect()
+    def iterate(self) -> dict[str, float]:
+        """Collects a batch and learns from it.
+
+        Returns:
+            Its metrics; the seconds are those since the last iteration, whatever was done between included.
+        """
+        self.learner.anneal(self.progress_made)
+        batch = self.collection.collect()
         collected = time.monotonic()
-        metrics = self._learn(collection, batch)
+        metrics = self._learn(batch)
         now = time.monotonic()
-        elapsed = now - started
-        metrics["collect_seconds"] = collected - started - self.seconds
-        metrics["learn_seconds"] = now - collected
-        metrics["frames_per_second"] = self.config.frames_per_batch / (elapsed - self.seconds)
+        metrics["collect_seconds"], metrics["learn_seconds"] = collected - self._mark, now - collected
+        metrics["frames_per_second"] = self.config.frames_per_batch / (now - self._mark)
         self.frames += self.config.frames_per_batch
         self.iteration += 1
-        self.seconds = elapsed
-        metrics["frames"], metrics["iteration"], metrics["minutes"] = self.frames, self.iteration, elapsed / 60
+        self.seconds += now - self._mark
+        self._mark = now
+        metrics["frames"], metrics["iteration"], metrics["minutes"] = self.frames, self.iteration, self.seconds / 60
         return metrics
 
-    def _learn(self, collection: Collection, batch: TensorDictBase) -> dict[str, float]:
+    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
         metrics = batch_metrics(batch, self._tracking_max)
         metrics.update(self.learner.update(batch))
-        collection.publish()
-        collection.exchange()
+        self.collection.publish()
+        self.collection.exchange()
         metrics["command_area"] = self.curriculum.command_area[0]
         metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
         metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
-        metrics["diverged"] = collection.num_diverged
+        metrics["diverged"] = self.collection.num_diverged
         return metrics
 
     def save(self) -> None:
@@ -164,7 +165,7 @@ class Trainer:
                 "config": self.config.to_dict(),
                 "learner": self.learner.state_dict(),
                 "curriculum": {"weights": self.curriculum.weights, **self.curriculum.get_extra_state()},
-                "collection": self.collection.state_dict() if self.collection else carried,
+                "collection": self.collection.state_dict() if "collection" in vars(self) else carried,
                 "frames": self.frames,
                 "iteration": self.iteration,
                 "seconds": self.seconds,

@@ -1,0 +1,160 @@
+"""The benchmark: everything that is compared takes turns in one run."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from benchmarks import contenders, report, summary
+from benchmarks.memory import peak_memory
+from benchmarks.peers import available
+from benchmarks.timing import Contender, Key, Rates, interleave, medians
+from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
+from torchrl_atr.training import TrainConfig
+from torchrl_atr.training.provenance import machine
+
+Maker = Callable[[], Contender]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is measured, and how often.
+
+    Attributes:
+        cpus: threads and worker processes; 0 for the CPUs this process may use.
+        num_envs: N of the layers; one of ``sizes``.
+        sizes: N, for cost and peak memory.
+        training_sizes: N that are trained, the recipe's first; each one of ``sizes``.
+        steps: control steps of a collector's batch, the recipe's.
+        rounds: samples of each contender.
+        seconds: least time of a sample.
+        profiled: iterations that are profiled.
+    """
+
+    cpus: int = 0
+    num_envs: int = 1024
+    sizes: tuple[int, ...] = (64, 256, 1024, 4096)
+    training_sizes: tuple[int, ...] = (256, 64, 1024)
+    steps: int = 24
+    rounds: int = 5
+    seconds: float = 0.5
+    profiled: int = 8
+
+
+FULL = Plan()
+QUICK = Plan(
+    cpus=1,
+    num_envs=8,
+    sizes=(8,),
+    training_sizes=(8,),
+    steps=4,
+    rounds=2,
+    seconds=0.05,
+    profiled=1,
+)
+
+
+def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
+    """Measures everything and writes ``bench.json`` and ``bench.md``.
+
+    Args:
+        plan: :data:`FULL` or :data:`QUICK`.
+        folder: for the two files; made if missing.
+        command: to be written beside the figures.
+
+    Returns:
+        What ``bench.json`` holds.
+    """
+    folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found before, not after
+    plan = dataclasses.replace(plan, cpus=plan.cpus or len(os.sched_getaffinity(0)))
+    results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}
+    results["memory"] = _memory(plan)
+    peers, results["skipped"] = available()
+    with ExitStack() as stack:
+        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        loops = [_loop(plan, size, scratch) for size in plan.training_sizes]
+        makers: list[Maker] = [partial(loop.contender, plan.cpus) for loop in loops]
+        makers += [partial(matrix_products, loops[0], plan.cpus), *_layers(plan)]
+        makers += [partial(peer, plan.cpus) for peer in peers]
+        rates = interleave([_opened(make, stack) for make in makers], plan.rounds, plan.seconds, _say)
+        _say("profiling")
+        flops, phases = flops_per_frame(loops[0]), profile(loops[0], plan.profiled)
+    results |= _figures(plan, rates, flops)
+    results["profile"] = {
+        "num_envs": plan.training_sizes[0],
+        "phases": [{"stage": stage, "name": name, "seconds": value} for (stage, name), value in phases.items()],
+    }
+    results["machine"]["load_after"] = os.getloadavg()[0]
+    report.write(results, folder)
+    return results
+
+
+def _origin() -> dict[str, Any]:
+    """When, where and with what."""
+    origin = machine()
+    hardware = {**origin["hardware"], "torch_threads": torch.get_num_threads(), "load_before": os.getloadavg()[0]}
+    return {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "machine": hardware, "versions": origin["versions"]}
+
+
+def _memory(plan: Plan) -> list[dict[str, float]]:
+    rows = []
+    for size in plan.sizes:
+        _say(f"peak memory of {size} robots")
+        rows.append(peak_memory(size, plan.steps))
+    return rows
+
+
+def _loop(plan: Plan, size: int, scratch: Path) -> TrainingLoop:
+    config = TrainConfig(num_envs=size, rollout_steps=plan.steps)
+    return TrainingLoop(config, scratch / str(size))
+
+
+def _layers(plan: Plan) -> list[Maker]:
+    """Ours: all layers once, the lower ones at every size and number of threads."""
+    full, collected = (plan.num_envs, plan.cpus), {"steps": plan.steps}
+    fewer = [2**k for k in range(plan.cpus.bit_length()) if 2**k < plan.cpus]
+    makers: list[Maker] = []
+    for point in [(size, plan.cpus) for size in plan.sizes] + [(plan.num_envs, threads) for threads in fewer]:
+        makers += [partial(contenders.physics, *point), partial(contenders.bare, *point)]
+        makers.append(partial(contenders.free, *point, **collected))
+    return [
+        *makers,
+        partial(contenders.transformed, *full),
+        partial(contenders.deployed, *full, **collected),
+        partial(contenders.training_policy, *full, **collected),
+    ]
+
+
+def _opened(make: Maker, stack: ExitStack) -> Contender:
+    contender = make()
+    stack.callback(contender.close)
+    return contender
+
+
+def _figures(plan: Plan, rates: Rates, flops: float) -> dict[str, Any]:
+    median = medians(rates)
+    (products,) = (key for key in rates if key.name == "matrix_products")
+    return {
+        "rates": summary.rate_records(rates),
+        "ladder": summary.ladder(median, plan.num_envs, plan.cpus),
+        "compute": {"flops_per_frame": flops, "flops_per_second": median[products], "rows": products.num_envs},
+        "training": summary.training(median, flops),
+        "peers": summary.peers(median, Key("free", plan.num_envs, plan.cpus)),
+        "scaling": summary.scaling(median),
+    }
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

@@ -1,0 +1,128 @@
+"""Ours, from bare physics to the collector that trains: what each layer leaves of the one below."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from functools import partial
+
+import mujoco
+import mujoco.batch
+import torch
+from tensordict import TensorDictBase
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs.utils import ExplorationType
+
+from benchmarks.timing import Contender, Key
+from torchrl_atr.envs import Readings, RidingEnv, get_robot, get_transporter, make_riding_env
+from torchrl_atr.envs.models import Scene, build_scene
+from torchrl_atr.envs.physics.engine import DECIMATION
+from torchrl_atr.modules import correlate
+from torchrl_atr.training import TrainConfig, make_env, make_run_networks
+from torchrl_atr.training.collection import Collection
+
+STAND_STEPS = 100
+"""Control steps after which the physics limit's robots are stood up anew: left alone they fall after some 10 s."""
+
+
+def standing_step(scene: Scene, num_envs: int, threads: int) -> Callable[[], mujoco.batch.Batch]:
+    """A function that takes N standing robots (keyframe ``stand``, ctrl = q0) one control step on, nothing else."""
+    batch = mujoco.batch.Batch(scene.model, num_envs, nthread=threads)
+    steps = itertools.count()
+
+    def step() -> mujoco.batch.Batch:
+        if next(steps) % STAND_STEPS == 0:
+            batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        batch.step(nstep=DECIMATION)
+        return batch
+
+    return step
+
+
+def physics(num_envs: int, threads: int) -> Contender:
+    """The limit: ``mujoco.batch`` on our scene, robots standing."""
+    robot = get_robot("a1")
+    scene = build_scene(robot, get_transporter("single_board", robot), Readings())
+    stand = standing_step(scene, num_envs, threads)
+
+    def step() -> int:
+        stand()
+        return num_envs
+
+    return Contender(Key("physics", num_envs, threads), step)
+
+
+def stepped(name: str, env: EnvBase, threads: int) -> Contender:
+    """An env under zero actions, through ``step_and_maybe_reset``; closes it."""
+    size = env.batch_size.numel()
+    still, state = env.full_action_spec.zero(), env.reset()
+
+    def step() -> int:
+        nonlocal state
+        _, state = env.step_and_maybe_reset(state.update(still))
+        return size
+
+    return Contender(Key(name, size, threads), step, env.close)
+
+
+def bare(num_envs: int, threads: int) -> Contender:
+    """``RidingEnv`` alone."""
+    return stepped("bare", RidingEnv(num_envs=num_envs, num_threads=threads, seed=0), threads)
+
+
+def transformed(num_envs: int, threads: int) -> Contender:
+    """``make_riding_env``: with command curriculum, history, time limit."""
+    return stepped("transformed", _riding_env(num_envs, threads), threads)
+
+
+def free(num_envs: int, threads: int, steps: int) -> Contender:
+    """TorchRL's ``Collector`` with a policy that costs nothing; ``steps`` control steps a batch."""
+    env = _riding_env(num_envs, threads)
+    still = env.full_action_spec.zero()
+    return _collected("free", env, lambda state: state.update(still), threads, steps)
+
+
+def deployed(num_envs: int, threads: int, steps: int) -> Contender:
+    """``Collector`` with the deployed policy, untrained: estimators and actor."""
+    env = _riding_env(num_envs, threads)
+    torch.manual_seed(0)
+    policy = make_run_networks(TrainConfig(), env).deployed_policy()
+    return _collected("deployed", env, policy, threads, steps)
+
+
+def training_policy(num_envs: int, threads: int, steps: int) -> Contender:
+    """The trainer's own collection: its env, its policy, untrained, with exploration."""
+    config = TrainConfig(num_envs=num_envs, rollout_steps=steps, num_threads=threads)
+    env = make_env(config)
+    torch.manual_seed(config.seed)
+    policy = make_run_networks(config, env).rollout_policy(config.act_source, config.student_fraction)
+    collection = Collection(config, env, partial(make_env, config), correlate(policy, config.noise_correlation))
+
+    def close() -> None:
+        collection.shutdown()
+        env.close()
+
+    return Contender(Key("training_policy", num_envs, threads), lambda: collection.collect().numel(), close)
+
+
+def _riding_env(num_envs: int, threads: int) -> TransformedEnv:
+    return make_riding_env(num_envs=num_envs, num_threads=threads, seed=0)
+
+
+def _collected(
+    name: str, env: TransformedEnv, policy: Callable[[TensorDictBase], TensorDictBase], threads: int, steps: int
+) -> Contender:
+    size = env.batch_size.numel()
+    collector = Collector(
+        env,
+        policy,
+        frames_per_batch=size * steps,
+        total_frames=-1,
+        exploration_type=ExplorationType.DETERMINISTIC,
+        track_traj_ids=False,  # as in training
+        trust_policy=True,  # a plain function may be a policy
+        auto_register_policy_transforms=False,
+    )
+    batches = iter(collector)
+    return Contender(Key(name, size, threads), lambda: next(batches).numel(), collector.shutdown)

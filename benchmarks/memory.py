@@ -1,0 +1,40 @@
+"""Peak memory of training, in a process of its own: ``python -m benchmarks.memory ROBOTS STEPS``."""
+
+from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks.training import TrainingLoop
+from torchrl_atr.training import TrainConfig
+
+ROOT = Path(__file__).parents[1]
+
+
+def peak_memory(num_envs: int, steps: int) -> dict[str, float]:
+    """What training N robots takes, MB: ``imported`` before anything is built, ``peak`` after two iterations."""
+    command = [sys.executable, "-m", "benchmarks.memory", str(num_envs), str(steps)]
+    child = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
+    return {"num_envs": num_envs, **json.loads(child.stdout.splitlines()[-1])}
+
+
+def _resident() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # kB on Linux
+
+
+def _main(num_envs: int, steps: int) -> None:
+    imported = _resident()
+    with tempfile.TemporaryDirectory() as folder:
+        loop = TrainingLoop(TrainConfig(num_envs=num_envs, rollout_steps=steps), Path(folder))
+        for _ in range(2):  # the second batch is collected beside what the first left behind
+            loop.iterate()
+        loop.close()
+    sys.stdout.write(json.dumps({"imported": round(imported, 1), "peak": round(_resident(), 1)}) + "\n")
+
+
+if __name__ == "__main__":
+    _main(*map(int, sys.argv[1:]))

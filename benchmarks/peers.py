@@ -1,0 +1,64 @@
+"""What others reach on the same cores: one simulation per process, as many processes as cores."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from importlib.util import find_spec
+
+from torchrl.envs import AntEnv, EnvBase, ParallelEnv
+
+from benchmarks.contenders import stepped
+from benchmarks.timing import Contender, Key
+
+SKIPPED_MJBATCH = (
+    "cannot be installed beside us: mjbatch 0.1.4 needs mujoco==3.14.0, we need 3.17; "
+    "mujoco.batch, the physics limit, is its successor"
+)
+Peer = Callable[[int], Contender]
+
+
+def dm_control_ride(seed: int) -> EnvBase:
+    """One robot of the same task through TorchRL's wrapper, as a user would do it without this library's env."""
+    from torchrl.envs.libs.dm_control import DMControlWrapper
+
+    from torchrl_atr.envs import suite  # slow to import: only in the workers
+
+    return DMControlWrapper(suite.load("a1", "single_board", random=seed))
+
+
+def dm_control(workers: int) -> Contender:
+    """``ParallelEnv`` of ``DMControlWrapper(suite.load("a1", "single_board"))``."""
+    seeds = [{"seed": seed} for seed in range(workers)]
+    return stepped("dm_control", ParallelEnv(workers, dm_control_ride, create_env_kwargs=seeds), workers)
+
+
+def torchrl_ant(workers: int) -> Contender:
+    """TorchRL's own ``MujocoEnv(backend="mujoco")`` on its ant: another task, 5 substeps, 8 joints."""
+    return stepped("torchrl_ant", ParallelEnv(workers, partial(AntEnv, backend="mujoco")), workers)
+
+
+def gymnasium_ant(workers: int) -> Contender:
+    """Gymnasium's ``AsyncVectorEnv`` of ``Ant-v5``: another task, 5 substeps, 8 joints."""
+    import gymnasium
+
+    env = gymnasium.vector.AsyncVectorEnv([partial(gymnasium.make, "Ant-v5")] * workers)
+    env.reset(seed=0)
+    still = 0.0 * env.action_space.sample()
+
+    def step() -> int:
+        env.step(still)
+        return workers
+
+    return Contender(Key("gymnasium_ant", workers, workers), step, env.close)
+
+
+def available() -> tuple[list[Peer], dict[str, str]]:
+    """The peers that can run here, and why the others cannot, by name."""
+    peers: list[Peer] = [dm_control, torchrl_ant]
+    skipped = {"mjbatch": SKIPPED_MJBATCH}
+    if find_spec("gymnasium") is None:
+        skipped["gymnasium_ant"] = 'not installed; pip install "gymnasium[mujoco]" adds it'
+    else:
+        peers.append(gymnasium_ant)
+    return peers, skipped

@@ -1,0 +1,87 @@
+"""Figures from rates: what each layer leaves of the limits below it. All ratios are of medians of one run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from benchmarks.timing import Key, Rates, medians
+
+LADDER = ("bare", "transformed", "free", "deployed", "training_policy")
+"""Ours above the physics, lowest first."""
+PEERS = ("dm_control", "torchrl_ant", "gymnasium_ant")
+SCALED = ("bare", "free")
+"""What is also measured at other sizes and numbers of threads."""
+
+
+def bound(physics: float, compute: float) -> float:
+    """Frames per second if every frame took its physics and its arithmetic, one after the other, and nothing else.
+
+    Example:
+        >>> bound(20_000.0, 5_000.0)
+        4000.0
+    """
+    return 1 / (1 / physics + 1 / compute)
+
+
+def rate_records(rates: Rates) -> list[dict[str, Any]]:
+    """All samples with their medians, for the JSON."""
+    return [
+        {**key._asdict(), "median": median, "samples": [round(sample, 3) for sample in rates[key]]}
+        for key, median in medians(rates).items()
+    ]
+
+
+def ladder(median: dict[Key, float], num_envs: int, threads: int) -> dict[str, float]:
+    """Shares of the physics limit, by layer."""
+    limit = median[Key("physics", num_envs, threads)]
+    keys = [Key(name, num_envs, threads) for name in LADDER]
+    return {key.name: median[key] / limit for key in keys if key in median}
+
+
+def scaling(median: dict[Key, float]) -> list[dict[str, float]]:
+    """A row for each (N, threads): the physics limit, what is above it and its share of it, robot steps per second."""
+    rows = []
+    for key in sorted(median):
+        if key.name == "physics":
+            above = {name: median[key._replace(name=name)] for name in SCALED}
+            shares = {f"{name}_of_physics": value / median[key] for name, value in above.items()}
+            rows.append({"num_envs": key.num_envs, "threads": key.threads, "physics": median[key], **above, **shares})
+    return rows
+
+
+def training(median: dict[Key, float], flops_per_frame: float) -> list[dict[str, float]]:
+    """For each N that was trained: frames per second, both limits, their bound, and the share of it reached."""
+    (products,) = (value for key, value in median.items() if key.name == "matrix_products")
+    compute, rows = products / flops_per_frame, []
+    for key in sorted(median):
+        if key.name == "training":
+            physics = median[key._replace(name="physics")]
+            limit = bound(physics, compute)
+            rows.append(
+                {
+                    "num_envs": key.num_envs,
+                    "frames_per_second": median[key],
+                    "physics": physics,
+                    "compute": compute,
+                    "bound": limit,
+                    "efficiency": median[key] / limit,
+                }
+            )
+    return rows
+
+
+def peers(median: dict[Key, float], ours: Key) -> dict[str, dict[str, float]]:
+    """Steps per second of each peer that ran, and how many times as many ``ours`` makes."""
+    found = {key.name: value for key, value in median.items() if key.name in PEERS}
+    return {name: {"steps_per_second": value, "ours_over_it": median[ours] / value} for name, value in found.items()}
+
+
+def shares(seconds: Sequence[float]) -> list[float]:
+    """Of their sum.
+
+    Example:
+        >>> shares([1.0, 3.0])
+        [0.25, 0.75]
+    """
+    return [value / sum(seconds) for value in seconds]

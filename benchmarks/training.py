@@ -1,0 +1,109 @@
+"""Training iterations: how many frames a second, where their time goes, and what they compute."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+from torch.utils.flop_counter import FlopCounterMode
+
+from benchmarks.stopwatch import Stopwatch
+from benchmarks.timing import Contender, Key
+from torchrl_atr.training import TrainConfig, Trainer
+
+
+class TrainingLoop:
+    """The trainer's iterations one at a time, without its logs and checkpoints.
+
+    Args:
+        config: of the run.
+        folder: that the trainer may write to.
+    """
+
+    def __init__(self, config: TrainConfig, folder: Path) -> None:
+        self.config, self.trainer = config, Trainer(config, folder)
+        self.learner, self.env = self.trainer.learner, self.trainer.env
+        self.collection = self.trainer.collection
+
+    def iterate(self) -> int:
+        """What :meth:`Trainer.train` repeats: collect, learn. Returns the frames."""
+        self.trainer.iterate()
+        return self.config.frames_per_batch
+
+    def close(self) -> None:
+        """Ends collector and env."""
+        self.collection.shutdown()
+        self.env.close()
+
+    def contender(self, threads: int) -> Contender:
+        """For timing."""
+        return Contender(Key("training", self.config.num_envs, threads), self.iterate, self.close)
+
+
+def flops_per_frame(loop: TrainingLoop) -> float:
+    """Floating-point operations of one iteration's networks, forward and backward, per robot step."""
+    batch = loop.collection.collect()
+    with torch.no_grad(), FlopCounterMode(display=False) as acting:
+        loop.collection.policy(batch[:, 0].clone())
+    with FlopCounterMode(display=False) as learning:
+        loop.learner.update(batch)
+    return acting.get_total_flops() / batch.shape[0] + learning.get_total_flops() / batch.numel()
+
+
+def matrix_products(loop: TrainingLoop, threads: int) -> Contender:
+    """What the compute limit rests on: ``torch.mm`` in the shapes of actor and critic, minibatch rows; counts FLOPs.
+
+    Each layer as training sees it: forward, gradient of the input, gradient of the weights.
+    """
+    networks, rows = loop.learner.networks, loop.learner.buffer.batch_size
+    modules = [*networks.backbone.modules(), *networks.critic.modules()]
+    shapes = [(layer.in_features, layer.out_features) for layer in modules if isinstance(layer, nn.Linear)]
+    operands = [(torch.randn(rows, i), torch.randn(i, o), torch.randn(rows, o)) for i, o in shapes]
+    flops = sum(3 * 2 * rows * i * o for i, o in shapes)
+
+    def step() -> int:
+        for x, weight, gradient in operands:
+            torch.mm(x, weight)
+            torch.mm(gradient, weight.T)
+            torch.mm(x.T, gradient)
+        return flops
+
+    return Contender(Key("matrix_products", rows, threads), step)
+
+
+def profile(loop: TrainingLoop, iterations: int) -> dict[tuple[str, str], float]:
+    """Seconds of an iteration by stage and phase, each phase without those inside it.
+
+    ``physics`` is MuJoCo's own stepping; ``task`` sensors, observations, rewards, terminations; ``resets`` new
+    episodes; ``transforms`` what :func:`~torchrl_atr.envs.make_riding_env` and TorchRL's stepping add.
+    """
+    watch, parts = Stopwatch(), _parts(loop)
+    for phase, (owner, name) in parts.items():
+        watch.attach(owner, name, phase)
+    try:
+        for _ in range(iterations):
+            loop.iterate()
+    finally:
+        watch.detach()
+    return {phase: watch.seconds[phase] / iterations for phase in parts}
+
+
+def _parts(loop: TrainingLoop) -> dict[tuple[str, str], tuple[Any, str]]:
+    """The methods that an iteration consists of, by stage and phase, in the order of the report."""
+    base, learner = loop.env.base_env, loop.learner
+    return {
+        ("collect", "physics"): (base.engine, "_substep"),
+        ("collect", "drive law"): (base.engine, "advance"),
+        ("collect", "task"): (base, "_step"),
+        ("collect", "resets"): (base, "_reset"),
+        ("collect", "transforms"): (loop.env, "step_and_maybe_reset"),
+        ("collect", "policy"): (loop.collection.policy, "forward"),
+        ("collect", "collector"): (loop.collection, "collect"),
+        ("learn", "GAE"): (learner, "advantage"),
+        ("learn", "PPO"): (learner, "_policy_steps"),
+        ("learn", "estimators"): (learner, "_adaptation_steps"),
+        ("learn", "rest"): (learner, "update"),
+        ("rest", "metrics, annealing"): (loop, "iterate"),
+    }

@@ -1,0 +1,200 @@
+"""What each command does."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from torchrl_atr._errors import UserError
+from torchrl_atr._files import atomic, make_folder
+from torchrl_atr.cli.parser import DEFAULT_RUN, PLACES, RESUMABLE, SETTINGS, option
+from torchrl_atr.listings import LISTINGS
+
+_HEADLINES = (
+    "survival",
+    "settled_speed_error_straight",
+    "settled_speed_error",
+    "settled_yaw_error",
+    "yaw_slope",
+)
+
+
+def train(arguments: argparse.Namespace) -> int:
+    """``torchrl-atr train``; a run that a signal stopped ends as shells expect, with 128 and the signal's number."""
+    from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
+    from torchrl_atr.training.checkpoint import NAME
+
+    if arguments.resume is not None:
+        return _resume(arguments)
+    output = arguments.output or DEFAULT_RUN
+    if (output / NAME).exists() and not arguments.overwrite:
+        raise ConfigError(f"{output} holds a run; give another --output, --resume {output}, or --overwrite")
+    values = read_config(arguments.config) if arguments.config else {}
+    values |= {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
+    return _exit_code(Trainer(make_config(values, arguments.overrides), output).train())
+
+
+def _resume(arguments: argparse.Namespace) -> int:
+    from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, run_config
+
+    given = [name for name in (*SETTINGS, *PLACES) if getattr(arguments, name) is not None]
+    fixed = [name for name in given if name not in RESUMABLE]
+    if fixed:
+        names, allowed = (", ".join(map(option, group)) for group in (fixed, RESUMABLE))
+        raise ConfigError(f"{names}: a resumed run keeps its settings, {allowed} excepted; leave it out")
+    state = load_checkpoint(arguments.resume)
+    changed = {name: getattr(arguments, name) for name in given}
+    trainer = Trainer(run_config(state, arguments.resume, **changed), arguments.resume, state)
+    if trainer.finished:
+        sys.stdout.write(f"{arguments.resume} has ended; to go on, give a larger --total-frames or --max-minutes\n")
+        return 0
+    return _exit_code(trainer.train())
+
+
+def _exit_code(signal: int | None) -> int:
+    return 0 if signal is None else 128 + signal
+
+
+def evaluate(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr evaluate``."""
+    from functools import partial
+
+    from torchrl_atr.evaluation import command_grid, evaluate_tracking, figures, tracking_metrics, write_report
+    from torchrl_atr.training import DEPLOYED, load_run, make_env
+
+    output = _report_folder(arguments)
+    deck = _deck(arguments)
+    config, env, networks, state = load_run(arguments.run, num_envs=1, **deck)
+    env.close()
+    make_folder(output)
+    result = evaluate_tracking(
+        networks.deployed_policy(),
+        partial(make_env, config, randomization=arguments.randomization, **deck, **DEPLOYED),
+        command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
+        robots_per_command=arguments.robots_per_command,
+        seed=arguments.seed,
+        encoder_module=networks.encoder_module,
+        progress=_show_steps,
+    )
+    metrics = tracking_metrics(result)
+    metrics["evaluation"] = {
+        "transporter": env.base_env.scene.transporter.name,
+        "seed": arguments.seed,
+        "randomization": arguments.randomization,
+    }
+    metrics["run"] = state["provenance"]
+    write_report(result, metrics, output)
+    if (arguments.run / "progress.csv").is_file():
+        figures.plot_learning_curves(arguments.run / "progress.csv", output / "learning_curves.png")
+    weights = state["curriculum"]["weights"]
+    figures.plot_curriculum(weights, env.transform[0].grid.bounds, output / "curriculum.png")
+    _print_figures(metrics)
+    sys.stdout.write(f"report in {output}\n")
+
+
+def _deck(arguments: argparse.Namespace) -> dict[str, str]:
+    """The env argument that puts the run's robot on another transporter, if one is asked for."""
+    return {} if arguments.transporter is None else {"transporter": arguments.transporter}
+
+
+def _report_folder(arguments: argparse.Namespace) -> Path:
+    """Where the report goes: a run's own is of the transporter that it was trained on."""
+    from torchrl_atr.training import ConfigError
+
+    output = arguments.output or arguments.run
+    if arguments.transporter is not None and output.resolve() == arguments.run.resolve():
+        raise ConfigError(
+            f"--transporter {arguments.transporter}: the report in {arguments.run} is of the transporter that it was "
+            "trained on; give another folder with --output"
+        )
+    return output
+
+
+def _show_steps(done: int, total: int) -> None:
+    if done % 50 == 0 or done == total:
+        sys.stdout.write(f"\revaluating: {done} of {total} control steps" + ("\n" if done == total else ""))
+        sys.stdout.flush()
+
+
+def _print_figures(metrics: dict[str, Any]) -> None:
+    """The headline figures, those of a board that stays still beside them."""
+    still = metrics["do_nothing"]
+    sys.stdout.write(f"{'':32}{'ours':>10}{'do nothing':>14}\n")
+    for name in _HEADLINES:
+        ours, theirs = (f"{value:.3f}" if value is not None else "-" for value in (metrics[name], still[name]))
+        sys.stdout.write(f"{name:32}{ours:>10}{theirs:>14}\n")
+
+
+def play(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr play``."""
+    from torchrl_atr.evaluation import play_viewer, record_video
+    from torchrl_atr.training import DEPLOYED, load_run
+
+    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, **_deck(arguments), **DEPLOYED)
+    policy = networks.deployed_policy()
+    if arguments.video is None:
+        play_viewer(policy, env)
+    else:
+        record_video(policy, env, arguments.video, seconds=arguments.seconds)
+        sys.stdout.write(f"wrote {arguments.video}\n")
+
+
+def replay(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr replay``."""
+    from torchrl_atr.evaluation import replay as replayed
+
+    sys.stdout.write(f"{'step':>6}{'v, m/s':>10}{'w, rad/s':>10}{'tilt, rad':>11}{'max |qvel|':>12}{'max |a|':>9}\n")
+    for step in replayed(arguments.dump, arguments.video):
+        figures = f"{step.speed:10.3f}{step.yaw_rate:10.3f}{step.tilt:11.3f}{step.largest_velocity:12.4g}"
+        failed = "  failed" if step.diverged else ""
+        sys.stdout.write(f"{step.step:6d}{figures}{step.largest_action:9.3f}{failed}\n")
+    if arguments.video is not None:
+        sys.stdout.write(f"wrote {arguments.video}\n")
+
+
+def write_model(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr model``."""
+    from torchrl_atr.envs import Readings, get_robot, get_transporter
+    from torchrl_atr.envs.models import scene_spec
+
+    robot = get_robot(arguments.robot)
+    spec = scene_spec(robot, get_transporter(arguments.transporter, robot), Readings())
+    with atomic(arguments.output) as file:
+        file.write_text(spec.to_xml())
+    sys.stdout.write(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter\n")
+
+
+def bench(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr bench``: its code stands beside the package in a clone, outside of what is installed."""
+    root = Path(__file__).parents[2]
+    if not (root / "benchmarks" / "bench.py").is_file():
+        raise UserError("the benchmark is not part of the installed package; run it from a clone, after scripts/setup")
+    sys.path.insert(0, str(root))
+    from benchmarks.bench import FULL, QUICK, run
+
+    command = "torchrl-atr bench --quick" if arguments.quick else "torchrl-atr bench"
+    run(QUICK if arguments.quick else FULL, arguments.output, command)
+    sys.stdout.write(f"{(arguments.output / 'bench.md').read_text()}report in {arguments.output}\n")
+
+
+def show_list(arguments: argparse.Namespace) -> None:
+    """``torchrl-atr list``."""
+    try:
+        sys.stdout.writelines(f"{line}\n" for line in LISTINGS[arguments.what]())
+        sys.stdout.flush()
+    except BrokenPipeError:  # `| head` has read enough; nor may the interpreter's own flush complain
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+COMMANDS: dict[str, Any] = {
+    "train": train,
+    "evaluate": evaluate,
+    "play": play,
+    "replay": replay,
+    "model": write_model,
+    "bench": bench,
+    "list": show_list,
+}
