@@ -25,6 +25,20 @@ def test_a_failed_save_leaves_the_old_checkpoint(tmp_path):
     assert load_checkpoint(path)["frames"] == 1
 
 
+def test_the_one_before_stays_and_stands_in(tmp_path, caplog):
+    path = tmp_path / "checkpoint.pt"
+    for frames in (1, 2, 3):
+        save_checkpoint(path, {"frames": frames}, best=frames == 2)
+    names = ("checkpoint.pt", "previous.pt", "best.pt")
+    assert [load_checkpoint(tmp_path / name)["frames"] for name in names] == [3, 2, 2]
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(names)
+    path.write_bytes(path.read_bytes()[:100])
+    assert load_checkpoint(tmp_path)["frames"] == 2
+    assert "may be truncated" in caplog.text
+    path.unlink()
+    assert load_checkpoint(tmp_path)["frames"] == 2
+
+
 @pytest.mark.parametrize("keep", [0, 10, 200])
 def test_truncated(tmp_path, keep):
     path = tmp_path / "checkpoint.pt"

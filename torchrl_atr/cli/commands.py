@@ -67,7 +67,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
     output = _report_folder(arguments)
     deck = _deck(arguments)
-    config, env, networks, state = load_run(arguments.run, num_envs=1, **deck)
+    config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), num_envs=1, **deck)
     env.close()
     make_folder(output)
     result = evaluate_tracking(
@@ -84,6 +84,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
         "transporter": env.base_env.scene.transporter.name,
         "seed": arguments.seed,
         "randomization": arguments.randomization,
+        "checkpoint": arguments.checkpoint,
     }
     metrics["run"] = state["provenance"]
     write_report(result, metrics, output)
@@ -93,6 +94,10 @@ def evaluate(arguments: argparse.Namespace) -> None:
     figures.plot_curriculum(weights, env.transform[0].grid.bounds, output / "curriculum.png")
     _print_figures(metrics)
     sys.stdout.write(f"report in {output}\n")
+
+
+def _checkpoint(arguments: argparse.Namespace) -> str | None:
+    return "best.pt" if arguments.checkpoint == "best" else None
 
 
 def _deck(arguments: argparse.Namespace) -> dict[str, str]:
@@ -133,7 +138,9 @@ def play(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import play_viewer, record_video
     from torchrl_atr.training import DEPLOYED, load_run
 
-    _, env, networks, _ = load_run(arguments.run, num_envs=1, seed=arguments.seed, **_deck(arguments), **DEPLOYED)
+    _, env, networks, _ = load_run(
+        arguments.run, _checkpoint(arguments), num_envs=1, seed=arguments.seed, **_deck(arguments), **DEPLOYED
+    )
     policy = networks.deployed_policy()
     if arguments.video is None:
         play_viewer(policy, env)

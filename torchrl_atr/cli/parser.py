@@ -120,6 +120,7 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=_run)
+    _add_checkpoint(parser)
     parser.add_argument("--seed", type=_seed, default=0)
     parser.add_argument("--output", type=_path, help="where the report goes; default: the run folder")
     parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
@@ -133,10 +134,16 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
 
 def _add_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=_run)
+    _add_checkpoint(parser)
     parser.add_argument("--transporter", help="ride another one than it was trained on")
     parser.add_argument("--video", type=_path, help="write an .mp4 or .gif instead of opening a viewer")
     parser.add_argument("--seconds", type=_number(float, 0.1, 3600), default=20.0, help="of the video")
     parser.add_argument("--seed", type=_seed, default=0)
+
+
+def _add_checkpoint(parser: argparse.ArgumentParser) -> None:
+    help_text = "the last one of the run, or the one with the largest episode reward"
+    parser.add_argument("--checkpoint", choices=("last", "best"), default="last", help=help_text)
 
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:

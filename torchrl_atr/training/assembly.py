@@ -95,17 +95,20 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
     )
 
 
-def load_run(run: Path, **env_overrides: Any) -> tuple[TrainConfig, TransformedEnv, RidingNetworks, dict[str, Any]]:
+def load_run(
+    run: Path, checkpoint: str | None = None, **env_overrides: Any
+) -> tuple[TrainConfig, TransformedEnv, RidingNetworks, dict[str, Any]]:
     """Config, env, trained networks and the whole checkpoint of a run folder.
 
     Args:
         run: the folder.
+        checkpoint: a file in it, such as ``best.pt``; None for the last one.
         **env_overrides: see :func:`make_env`.
 
     Raises:
         CheckpointError: if there is no readable checkpoint, or it does not fit this code.
     """
-    state = load_checkpoint(run)
+    state = load_checkpoint(run if checkpoint is None else run / checkpoint)
     config = run_config(state, run, device="cpu")  # wherever it was trained
     import_modules(config.imports)
     env = make_env(config, **env_overrides)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import logging
 import os
 import pickle
+import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -15,19 +17,24 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
 
 VERSION = 1
-NAME = "checkpoint.pt"
+NAME, PREVIOUS, BEST = "checkpoint.pt", "previous.pt", "best.pt"
+"""The last checkpoint of a run, the one before, and the one with the largest episode reward."""
+_LOG = logging.getLogger(__name__)
 
 
 class CheckpointError(UserError, RuntimeError):
     """A checkpoint that is missing, damaged, or from another version."""
 
 
-def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
+def save_checkpoint(path: Path, state: dict[str, Any], best: bool = False) -> None:
     """Writes ``state`` beside ``path``, reads it back, then moves it into place: a crash leaves the old one.
+
+    What ``path`` held before stays as ``previous.pt``.
 
     Args:
         path: of the checkpoint.
         state: nested dicts of tensors, numbers and strings.
+        best: whether ``best.pt`` becomes this one too.
 
     Raises:
         OSError: if it cannot be written; names ``path``.
@@ -40,10 +47,24 @@ def save_checkpoint(path: Path, state: dict[str, Any]) -> None:
             file.flush()
             os.fsync(file.fileno())
         load_checkpoint(temporary)
+        if path.is_file():
+            _name_too(path, path.with_name(PREVIOUS))
+    if best:
+        _name_too(path, path.with_name(BEST))
+
+
+def _name_too(source: Path, target: Path) -> None:
+    """Makes ``target`` a second name of the file that ``source`` is now."""
+    with atomic(target) as temporary:
+        temporary.unlink()
+        try:
+            os.link(source, temporary)
+        except OSError:  # not every file system links
+            shutil.copyfile(source, temporary)
 
 
 def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
-    """Reads a checkpoint.
+    """Reads a checkpoint; of a run folder whose last one is damaged or gone, the one before.
 
     Args:
         path: of the file, or of the run folder that holds it.
@@ -52,7 +73,14 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     Raises:
         CheckpointError: if it is missing, truncated, or of another version.
     """
-    path = path / NAME if path.is_dir() else path
+    if path.is_dir():
+        try:
+            return load_checkpoint(path / NAME, device)
+        except CheckpointError as error:
+            if not (path / PREVIOUS).is_file():
+                raise
+            _LOG.warning("%s; taking %s instead", error, path / PREVIOUS)
+            return load_checkpoint(path / PREVIOUS, device)
     if not path.is_file():
         raise CheckpointError(f"there is no checkpoint at {path}; give a run folder that `torchrl-atr train` wrote")
     try:

@@ -28,6 +28,9 @@ from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import load_networks
 
+_MEMORY = 0.05
+"""Weight of an iteration in the running mean of the episode reward."""
+
 
 class Trainer:
     """One run in one folder.
@@ -55,6 +58,7 @@ class Trainer:
             networks.update_normalizers(self.env.rollout(config.rollout_steps))
         self.learner = Learner(networks.to(config.device), config)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
+        self.reward, self.best_reward = 0.0, float("-inf")  # of episodes: running mean, and the best at a checkpoint
         self._mark = time.monotonic()  # the end of the last iteration
         self._state = state
         if state is not None:
@@ -140,6 +144,8 @@ class Trainer:
         self.iteration += 1
         self.seconds += now - self._mark
         self._mark = now
+        if "episode_reward" in metrics:
+            self.reward += _MEMORY * (metrics["episode_reward"] - self.reward)
         metrics["frames"], metrics["iteration"], metrics["minutes"] = self.frames, self.iteration, self.seconds / 60
         return metrics
 
@@ -159,6 +165,8 @@ class Trainer:
         origin = provenance(self.config, self.frames, self.seconds)
         write_json(self.run / "run.json", origin)
         carried = self._state.get("collection", {}) if self._state else {}
+        best = self.iteration > 1 / _MEMORY and self.reward > self.best_reward
+        self.best_reward = self.reward if best else self.best_reward
         save_checkpoint(
             self.run / NAME,
             {
@@ -169,9 +177,12 @@ class Trainer:
                 "frames": self.frames,
                 "iteration": self.iteration,
                 "seconds": self.seconds,
+                "reward": self.reward,
+                "best_reward": self.best_reward,
                 "rng": torch.get_rng_state(),
                 "provenance": origin,
             },
+            best=best,
         )
 
     def _restore(self, state: dict[str, Any]) -> None:
@@ -181,6 +192,8 @@ class Trainer:
         self.curriculum.set_extra_state({k: v for k, v in state["curriculum"].items() if k != "weights"})
         self.frames, self.iteration = state["frames"], state["iteration"]
         self.seconds = state["seconds"]
+        self.reward = state.get("reward", 0.0)
+        self.best_reward = state.get("best_reward", float("-inf"))
 
 
 def write_json(path: Path, value: Any) -> None:
