@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from functools import partial
 from importlib.util import find_spec
 
@@ -10,7 +12,7 @@ import torch
 
 from torchrl_atr.modules import correlate
 from torchrl_atr.training import ConfigError, Learner, make_config, make_env, make_run_networks
-from torchrl_atr.training.collection import Collection
+from torchrl_atr.training.collection import Collection, CollectionError
 
 needs_ray = pytest.param(
     "ray", marks=pytest.mark.skipif(find_spec("ray") is None, reason="Ray is an extra: pip install 'torchrl_atr[ray]'")
@@ -18,16 +20,21 @@ needs_ray = pytest.param(
 TINY = {"num_envs": 8, "rollout_steps": 4, "minibatches": 1, "num_threads": 1, "workers": 2}
 
 
-@pytest.mark.parametrize("collector", ["direct", "process", "distributed", needs_ray])
-def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
-    """Recorded log-probabilities are the learner's own, before and after it moved; workers draw different robots."""
+def start(collector):
     config = make_config({**TINY, "collector": collector})
     torch.manual_seed(0)
     env = make_env(config)
     networks = make_run_networks(config, env)
     learner = Learner(networks, config)
     policy = correlate(networks.rollout_policy(config.act_source, config.student_fraction), config.noise_correlation)
-    collection = Collection(config, env, partial(make_env, config), policy)
+    return config, learner, Collection(config, env, partial(make_env, config), policy)
+
+
+@pytest.mark.parametrize("collector", ["direct", "process", "distributed", needs_ray])
+def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
+    """Recorded log-probabilities are the learner's own, before and after it moved; workers draw different robots."""
+    config, learner, collection = start(collector)
+    networks = learner.networks
     try:
         for _ in range(3):
             batch = collection.collect()
@@ -57,3 +64,34 @@ def test_robots_must_divide_among_the_workers():
         make_config({**TINY, "num_envs": 7, "collector": "process"})
     with pytest.raises(ConfigError, match="collector='ssh' is unknown; choose one of direct, process, ray"):
         make_config({"collector": "ssh"})
+
+
+def kill_a_worker(collection):
+    """SIGKILL; returns the processes of the local engines."""
+    if collection.config.collector == "ray":
+        import ray
+
+        ray.kill(collection.collector.remote_collectors[-1])
+        return []
+    workers = list(
+        collection.collector.procs if collection.config.collector == "process" else collection.collector.jobs
+    )
+    workers[-1].kill()
+    return [worker.pid for worker in workers]
+
+
+@pytest.mark.parametrize("collector", ["process", "distributed", needs_ray])
+def test_a_killed_worker_is_a_named_error_and_leaves_no_orphans(collector):
+    _, _, collection = start(collector)
+    collection.collect()
+    pids, killed = kill_a_worker(collection), time.monotonic()
+    with pytest.raises(CollectionError, match=f"collector='{collector}': a worker died .* --resume"):
+        while True:
+            collection.collect()
+            collection.publish()
+            collection.exchange()
+    collection.shutdown()
+    assert time.monotonic() - killed < 60
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
