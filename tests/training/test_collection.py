@@ -80,16 +80,20 @@ def kill_a_worker(collection):
     return [worker.pid for worker in workers]
 
 
+def go_on(collection):
+    while True:
+        collection.collect()
+        collection.publish()
+        collection.exchange()
+
+
 @pytest.mark.parametrize("collector", ["process", "distributed", needs_ray])
 def test_a_killed_worker_is_a_named_error_and_leaves_no_orphans(collector):
     _, _, collection = start(collector)
     collection.collect()
     pids, killed = kill_a_worker(collection), time.monotonic()
     with pytest.raises(CollectionError, match=f"collector='{collector}': a worker died .* --resume"):
-        while True:
-            collection.collect()
-            collection.publish()
-            collection.exchange()
+        go_on(collection)
     collection.shutdown()
     assert time.monotonic() - killed < 60
     for pid in pids:
