@@ -85,19 +85,21 @@ class Collection:
         }
         if not self.remote:
             return Collector(self.env, self.policy, track_traj_ids=False, **_PLAIN, **common)
-        share, cpus = config.num_envs // config.workers, config.num_threads or len(os.sched_getaffinity(0))
+        threads = max(1, (config.num_threads or len(os.sched_getaffinity(0))) // config.workers)
         makers = [
             partial(
                 _worker_env,
                 make_env,
                 self.curriculum.weights.clone(),
-                num_envs=share,
+                num_envs=config.num_envs // config.workers,
                 seed=config.seed + _SEED_STRIDE * (worker + 1),
-                num_threads=max(1, cpus // config.workers),
+                num_threads=threads,
             )
             for worker in range(config.workers)
         ]
-        return Collector(makers, self.policy, num_collectors=config.workers, sync=True, **common, **_engine(config))
+        return Collector(
+            makers, self.policy, num_collectors=config.workers, sync=True, **common, **_engine(config, threads)
+        )
 
     def collect(self) -> TensorDictBase:
         """The next batch, (N, T).
@@ -211,14 +213,15 @@ class Collection:
                 torch.distributed.destroy_process_group()
 
 
-def _engine(config: TrainConfig) -> dict[str, Any]:
-    """Arguments of TorchRL's ``Collector`` that differ between its engines."""
+def _engine(config: TrainConfig, threads: int) -> dict[str, Any]:
+    """Arguments of TorchRL's ``Collector`` that differ between its engines; each worker needs ``threads`` CPUs."""
     if config.collector == "process":
         # workers wait while the learner computes: it keeps all of its threads
         return {"total_frames": -1, "cat_results": 0, "num_threads": torch.get_num_threads(), **_PLAIN}
     if config.collector == "ray":
-        cluster = {} if os.environ.get("RAY_ADDRESS") else {"num_cpus": config.workers, "include_dashboard": False}
-        options: dict[str, Any] = {"ray_init_config": cluster, "remote_configs": {"num_cpus": 1, "num_gpus": 0}}
+        here = {"num_cpus": config.workers * threads, "include_dashboard": False}
+        cluster = {} if os.environ.get("RAY_ADDRESS") else here  # a cluster has its own resources
+        options: dict[str, Any] = {"ray_init_config": cluster, "remote_configs": {"num_cpus": threads, "num_gpus": 0}}
     else:
         options = {"launcher": "mp", "backend": "gloo", "tcp_port": _free_port()}
     options["collector_kwargs"] = dict(_PLAIN)
