@@ -56,7 +56,7 @@ def kill_once(run: Path, delay: float) -> dict[str, Any]:
         _, errors = process.communicate()
     if lost is not None:
         return {"before": before, "after": before, "temporary": False, "lost": f"{lost}: {errors.strip()[-200:]}"}
-    temporary = any(file.name.startswith(".") for file in run.iterdir())
+    temporary = any(f".{process.pid}.part" in file.name for file in run.iterdir())
     try:
         after = load_checkpoint(run / NAME)["frames"]  # itself, not the one before that would stand in
     except CheckpointError as error:

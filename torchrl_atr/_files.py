@@ -62,6 +62,12 @@ def naming(path: str | Path) -> Iterator[None]:
         raise
 
 
+def sweep(folder: Path) -> None:
+    """Removes what a killed process left of files that it was writing with :func:`atomic`."""
+    for file in folder.glob(".*.part*"):
+        file.unlink(missing_ok=True)
+
+
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
     """A path to write to; it becomes ``path``, whole, when the block ends without an error.
@@ -81,7 +87,7 @@ def atomic(path: str | Path) -> Iterator[Path]:
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     with naming(path):
         if path.exists() and not path.is_file():  # a folder; or a device, which the replacement would abolish
             raise FileExistsError(errno.EEXIST, "not a file")

@@ -90,3 +90,12 @@ def test_an_estimator_from_outside_trains(tmp_path):
     before = [p.clone() for p in trainer.learner.networks.estimator_parameters()]
     trainer.train()
     assert any(not torch.equal(a, b) for a, b in zip(before, trainer.learner.networks.estimator_parameters()))
+
+
+def test_what_a_killed_run_left_half_written_is_swept(tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / ".checkpoint.4711.part.pt").write_bytes(b"half")
+    (run / ".mine").write_text("kept")
+    Trainer(make_config(TINY), run)
+    assert [file.name for file in run.iterdir()] == [".mine"]

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 
-from torchrl_atr._files import atomic
+from torchrl_atr._files import atomic, sweep
 from torchrl_atr.envs.task.rewards import MAX_TRACKING
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.modules import correlate, get_estimator
@@ -47,6 +47,7 @@ class Trainer:
         import_modules(config.imports)
         get_estimator(config.estimator)  # an unknown name is refused before anything is written
         run.mkdir(parents=True, exist_ok=True)
+        sweep(run)
         torch.manual_seed(config.seed)
         self._make_env = partial(make_env, config, dump_dir=run / "diverged")
         self.env = self._make_env()
