@@ -72,7 +72,7 @@ class Trainer:
         SIGINT and SIGTERM end it after the iteration at hand, with a checkpoint.
 
         Args:
-            on_iteration: called with each iteration's metrics.
+            on_iteration: called with each iteration's metrics; its time is not part of the run's.
 
         Returns:
             The signal that ended it early, or None.
@@ -113,6 +113,7 @@ class Trainer:
             self.progress.update(metrics)
             if on_iteration is not None:
                 on_iteration(metrics)
+                self._mark = time.monotonic()  # its time is its own
             if time.monotonic() - saved > self.config.checkpoint_seconds:
                 self.save()
                 saved = time.monotonic()
@@ -132,7 +133,7 @@ class Trainer:
         """Collects a batch and learns from it.
 
         Returns:
-            Its metrics; the seconds are those since the last iteration, whatever was done between included.
+            Its metrics; the seconds are those since the last iteration, logs and checkpoints included.
         """
         self.learner.anneal(self.progress_made)
         batch = self.collection.collect()

@@ -1,0 +1,144 @@
+"""How many minutes and robot steps of training a skill takes: A1 on the single board, from scratch, several seeds.
+
+``python -m benchmarks.time_to_skill`` trains with the default recipe until the deployed policy meets the bar. It is
+evaluated every few minutes, as ``torchrl-atr evaluate`` does it, which is not part of the training time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from torchrl_atr._files import atomic
+from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics
+from torchrl_atr.training import DEPLOYED, TrainConfig, Trainer, make_config, make_env
+from torchrl_atr.training.provenance import machine
+from torchrl_atr.training.trainer import write_json
+
+BAR = {"survival": (0.97, 1.0), "settled_speed_error": (0.0, 0.30), "settled_yaw_error": (0.0, 0.25)}
+"""Least and largest value of each figure: share, m/s, rad/s."""
+GRID = (2.0, 1.0, 1.0, 0.25)
+"""Largest speed (m/s) and yaw rate (rad/s) of the commands, and their steps."""
+
+
+def meets(figures: Mapping[str, float | None]) -> bool:
+    """Whether every figure is within the bar.
+
+    Example:
+        >>> meets({"survival": 0.98, "settled_speed_error": 0.2, "settled_yaw_error": 0.2})
+        True
+        >>> meets({"survival": 0.98, "settled_speed_error": None, "settled_yaw_error": 0.2})
+        False
+    """
+    for name, (low, high) in BAR.items():
+        value = figures[name]
+        if value is None or not low <= value <= high:
+            return False
+    return True
+
+
+def evaluate(trainer: Trainer, config: TrainConfig, robots_per_command: int) -> dict[str, Any]:
+    """The deployed policy's figures that the bar is about."""
+    networks = trainer.learner.networks
+    result = evaluate_tracking(
+        networks.deployed_policy(),
+        partial(make_env, config, **DEPLOYED),
+        command_grid(*GRID),
+        robots_per_command=robots_per_command,
+        seed=config.seed + 1,
+        encoder_module=networks.encoder_module,
+    )
+    metrics = tracking_metrics(result)
+    return {name: metrics[name] for name in BAR}
+
+
+def train_until(config: TrainConfig, folder: Path, every: float, robots_per_command: int) -> list[dict[str, Any]]:
+    """Trains until the bar is met or the run ends.
+
+    Args:
+        config: ``max_minutes`` limits the run.
+        folder: of the run.
+        every: minutes of training between two evaluations.
+        robots_per_command: of an evaluation.
+
+    Returns:
+        ``minutes``, ``frames`` and figures of every evaluation; the last one met the bar, or the run ended.
+    """
+    trainer = Trainer(config, folder)
+    tried: list[dict[str, Any]] = []
+
+    def check(metrics: dict[str, float]) -> None:
+        if metrics["minutes"] < every * (len(tried) + 1) and not trainer.finished:
+            return
+        figures = evaluate(trainer, config, robots_per_command)
+        tried.append({"minutes": metrics["minutes"], "frames": int(metrics["frames"]), **figures})
+        sys.stdout.write(f"seed {config.seed}: {tried[-1]}\n")
+        if meets(figures) and not trainer.finished:
+            signal.raise_signal(signal.SIGTERM)  # ends the run as a scheduler would
+
+    trainer.train(check)
+    return tried
+
+
+def table(report: dict[str, Any]) -> str:
+    """The report as Markdown."""
+    hardware, runs = report["hardware"], report["runs"]
+    cores = f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)}"
+    skilled = [run[-1]["minutes"] for run in runs if meets(run[-1])]
+    lines = [
+        "# Time to skill",
+        "",
+        f"`{report['command']}`: {report['wall_seconds'] / 60:.0f} minutes on {cores} ({hardware['processor']}).",
+        "",
+        "The bar, deployed, over |c_v| <= 2 m/s and |c_ω| <= 1 rad/s: at least 97% up after 10 s, settled errors of at "
+        f"most 0.30 m/s and 0.25 rad/s. {len(skilled)} of {len(runs)} seeds met it.",
+        "",
+        "| seed | minutes | robot steps | up | speed error, m/s | yaw error, rad/s | met |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for seed, run in enumerate(runs):
+        last = run[-1]
+        figures = " | ".join("-" if last[name] is None else f"{last[name]:.3f}" for name in BAR)
+        met = "yes" if meets(last) else "no"
+        lines.append(f"| {seed} | {last['minutes']:.1f} | {last['frames']:,} | {figures} | {met} |")
+    return "\n".join([*lines, ""])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Trains all seeds and writes ``time_to_skill.json`` and ``README.md``."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.time_to_skill", description=__doc__)
+    parser.add_argument("--output", type=Path, default=Path("results/time_to_skill"), metavar="FOLDER")
+    parser.add_argument("--minutes", type=float, default=60.0, help="of training, at most, for each seed")
+    parser.add_argument("--every", type=float, default=5.0, help="minutes between evaluations")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--num-envs", type=int, default=256)
+    parser.add_argument("--robots-per-command", type=int, default=8)
+    arguments = parser.parse_args(argv)
+    started, runs = time.monotonic(), []
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(arguments.seeds):
+            values = {"seed": seed, "max_minutes": arguments.minutes, "num_envs": arguments.num_envs}
+            config, run = make_config(values), Path(folder) / str(seed)
+            runs.append(train_until(config, run, arguments.every, arguments.robots_per_command))
+    report = {
+        "command": f"python -m benchmarks.time_to_skill --minutes {arguments.minutes:g} --every {arguments.every:g} "
+        f"--seeds {arguments.seeds} --num-envs {arguments.num_envs}",
+        "wall_seconds": round(time.monotonic() - started, 1),
+        "runs": runs,
+        **machine(),
+    }
+    write_json(arguments.output / "time_to_skill.json", report)
+    with atomic(arguments.output / "README.md") as file:
+        file.write_text(table(report))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,33 @@
+"""Training until a bar is met, on seconds of training."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from benchmarks import time_to_skill
+
+TINY = ["--minutes", "0.05", "--every", "0.02", "--seeds", "1", "--num-envs", "8", "--robots-per-command", "1"]
+
+
+@pytest.fixture
+def small_grid(monkeypatch):
+    monkeypatch.setattr(time_to_skill, "GRID", (2.0, 1.0, 2.0, 1.0))
+
+
+def test_nobody_is_skilled_after_three_seconds(tmp_path, small_grid):
+    assert time_to_skill.main([*TINY, "--output", str(tmp_path)]) == 0
+    (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
+    assert len(run) >= 2
+    assert run[-1]["minutes"] >= 0.05
+    assert run[0]["minutes"] < 0.05
+    assert "0 of 1 seeds met it" in (tmp_path / "README.md").read_text()
+
+
+def test_a_run_that_meets_the_bar_ends(tmp_path, small_grid, monkeypatch):
+    monkeypatch.setattr(time_to_skill, "BAR", {"survival": (0.0, 1.0)})
+    assert time_to_skill.main([*TINY, "--output", str(tmp_path)]) == 0
+    (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
+    assert len(run) == 1
+    assert "1 of 1 seeds met it" in (tmp_path / "README.md").read_text()
