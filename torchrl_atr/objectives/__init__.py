@@ -2,5 +2,6 @@
 
 from torchrl_atr.objectives.roa import ROAClipPPOLoss
 from torchrl_atr.objectives.schedules import LinearSchedule
+from torchrl_atr.objectives.smoothness import previous_means
 
-__all__ = ["LinearSchedule", "ROAClipPPOLoss"]
+__all__ = ["LinearSchedule", "ROAClipPPOLoss", "previous_means"]

@@ -29,6 +29,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
     ``loss_intrinsic``      ``intrinsic_coeff * ||zhat - sg[z]||^2``        intrinsic estimator only
     ``loss_roa``            ``roa_coeff * ||sg[zhat] - z||^2``              encoder only
     ``loss_extrinsic``      ``extrinsic_coeff * ||(xhat - x) / std||^2``    extrinsic estimator only
+    ``loss_smoothness``     ``smoothness_coeff * ||mu_t - mu_{t-1}||^2``    actor and encoder; only if asked for
     ======================  ==============================================  =========================
 
     Three entry points: :meth:`forward` returns every term (what a TorchRL trainer sums);
@@ -51,6 +52,8 @@ class ROAClipPPOLoss(ClipPPOLoss):
     Keyword Args:
         roa_coeff (float): the paper's lambda. Defaults to 0.2.
         intrinsic_coeff, extrinsic_coeff (float): weights of the estimator terms. Default to 1.
+        smoothness_coeff (float): weight of the change of the mean action from the step before, which the data must
+            then hold as ``previous_mean`` (:func:`previous_means`). Defaults to 0, no such term.
         extrinsic_scale (Tensor or nn.Module with ``std``, optional): per-component std that divides the
             extrinsic error (reading A25); a :class:`~torchrl_atr.modules.RunningNormalizer` is read at
             every call. None is the plain sum of the paper.
@@ -60,7 +63,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
         ValueError: if a coefficient is negative or a scale is not positive.
         KeyError: if a network does not write the key that the loss reads (rename with ``set_keys``).
 
-    All three coefficients can be scheduled by assignment: ``loss.roa_coeff = 0.1``.
+    The coefficients can be scheduled by assignment: ``loss.roa_coeff = 0.1``.
 
     Examples:
         >>> import torch
@@ -92,16 +95,18 @@ class ROAClipPPOLoss(ClipPPOLoss):
                 read.
             extrinsic (NestedKey): the true extrinsic state in the data.
             extrinsic_estimate (NestedKey): what the extrinsic estimator writes.
+            previous_mean (NestedKey): the mean action of the step before, (*B, A).
         """
 
         latent: NestedKey = ("latent", "intrinsic")
         latent_estimate: NestedKey = ("estimate", "intrinsic")
         extrinsic: NestedKey = ("privileged", "extrinsic")
         extrinsic_estimate: NestedKey = ("estimate", "extrinsic")
+        previous_mean: NestedKey = "previous_mean"
 
     default_keys = _AcceptedKeys
     tensor_keys: _AcceptedKeys  # type: ignore[assignment]
-    _schedulable_buffers = frozenset({"roa_coeff", "intrinsic_coeff", "extrinsic_coeff"})
+    _schedulable_buffers = frozenset({"roa_coeff", "intrinsic_coeff", "extrinsic_coeff", "smoothness_coeff"})
 
     encoder_network: TensorDictModule
     encoder_network_params: TensorDictParams | None
@@ -116,6 +121,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
     roa_coeff: Tensor
     intrinsic_coeff: Tensor
     extrinsic_coeff: Tensor
+    smoothness_coeff: Tensor
     extrinsic_norm: nn.Module | None
     extrinsic_std: Tensor | None
     _in_keys: list[NestedKey] | None
@@ -132,6 +138,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
         roa_coeff: float = 0.2,
         intrinsic_coeff: float = 1.0,
         extrinsic_coeff: float = 1.0,
+        smoothness_coeff: float = 0.0,
         extrinsic_scale: Tensor | nn.Module | None = None,
         **ppo_kwargs: Any,
     ) -> None:
@@ -144,12 +151,14 @@ class ROAClipPPOLoss(ClipPPOLoss):
             "roa_coeff": roa_coeff,
             "intrinsic_coeff": intrinsic_coeff,
             "extrinsic_coeff": extrinsic_coeff,
+            "smoothness_coeff": smoothness_coeff,
         }
         for name, value in coefficients.items():
             if value < 0:
                 raise ValueError(f"{name} must be >= 0, got {value}; 0 switches the term off.")
             self.register_coeff_buffer(name, float(value), device=device)
         self._add_scale(extrinsic_scale)
+        self._smooth, self._mean = smoothness_coeff > 0, None
         self._in_keys = self._out_keys = None  # they were cached before these networks existed
 
     def _add_network(self, name: str, network: TensorDictModule) -> None:
@@ -179,7 +188,10 @@ class ROAClipPPOLoss(ClipPPOLoss):
         # set_keys runs once inside the parent's constructor, before these networks exist.
         networks = [getattr(self, name, None) for name in ADAPTATION_NETWORKS]
         keys = {key for network in networks if network is not None for key in network.in_keys}
-        self._in_keys = list({*(self._in_keys or ()), *keys, self.tensor_keys.extrinsic})
+        ours = [self.tensor_keys.extrinsic]
+        if getattr(self, "_smooth", False):
+            ours.append(self.tensor_keys.previous_mean)
+        self._in_keys = list({*(self._in_keys or ()), *keys, *ours})
 
     @property
     def out_keys(self) -> list[NestedKey]:
@@ -187,7 +199,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
         if self._out_keys is None:
             ppo_keys = list(ClipPPOLoss.out_keys.fget(self))  # type: ignore[attr-defined]
             ours = ["loss_intrinsic", "loss_roa", "loss_extrinsic", "latent_error", "extrinsic_error"]
-            self._out_keys = ppo_keys + ours
+            self._out_keys = ppo_keys + ours + ["loss_smoothness"] * self._smooth
         return self._out_keys
 
     @out_keys.setter
@@ -201,10 +213,11 @@ class ROAClipPPOLoss(ClipPPOLoss):
         latent, estimate = self._latent(tensordict), self._latent_estimate(tensordict)
         out.update(self._roa_terms(tensordict, latent, estimate))
         out.update(self._adaptation_terms(tensordict, latent, estimate))
+        out.update(self._smoothness_terms(tensordict))
         return out
 
     def policy_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return the PPO terms and ``loss_roa``: what the policy's optimiser minimises.
+        """Return the PPO terms, ``loss_roa`` and ``loss_smoothness``: what the policy's optimiser minimises.
 
         zhat is read from ``tensordict`` if it was recorded there (the rollout did, or the recipe computed
         it once for the whole batch), else computed without gradient.
@@ -215,6 +228,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
             with torch.no_grad():
                 estimate = self._latent_estimate(tensordict)
         out.update(self._roa_terms(tensordict, self._latent(tensordict), estimate))
+        out.update(self._smoothness_terms(tensordict))
         return out
 
     def adaptation_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -222,6 +236,23 @@ class ROAClipPPOLoss(ClipPPOLoss):
         with torch.no_grad():
             latent = self._latent(tensordict)
         return TensorDict(self._adaptation_terms(tensordict, latent, self._latent_estimate(tensordict)))
+
+    def _get_cur_log_prob(self, tensordict: TensorDictBase, params: TensorDictParams | None = None) -> Any:
+        log_prob, dist, is_composite = super()._get_cur_log_prob(tensordict, params)
+        self._mean = dist.mean if self._smooth else None  # of the one forward pass that PPO makes anyway
+        return log_prob, dist, is_composite
+
+    def _smoothness_terms(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+        if not self._smooth:
+            return {}
+        previous, mean, self._mean = tensordict.get(self.tensor_keys.previous_mean, None), self._mean, None
+        if previous is None:
+            raise KeyError(
+                f"smoothness_coeff needs {self.tensor_keys.previous_mean!r} in the data: the mean action of the step "
+                "before, as previous_means(batch) gives it; rename it with loss.set_keys(previous_mean=...)."
+            )
+        change = (mean - previous).square().sum(-1)
+        return {"loss_smoothness": self._reduce_loss(self.smoothness_coeff * change, tensordict)}
 
     def _roa_terms(self, tensordict: TensorDictBase, latent: Tensor, estimate: Tensor) -> dict[str, Tensor]:
         distance = (estimate.detach() - latent).square().sum(-1)

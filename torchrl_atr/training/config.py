@@ -59,6 +59,7 @@ class TrainConfig:
         final_std: ceiling of the exploration at the end of the run, lowered linearly from ``init_std`` after
             ``anneal_from`` of it.
         anneal_from: share of the run, in [0, 1).
+        smoothness_coeff: pull of the mean action towards that of the step before.
         roa_coeff: λ of Eq. 15.
         roa_ramp: whether λ grows linearly from 0 over the run (A23).
         adaptation_epochs: passes of the estimators over a batch.
@@ -114,6 +115,7 @@ class TrainConfig:
     noise_correlation: float = 0.9
     final_std: float = 0.1
     anneal_from: float = 0.35
+    smoothness_coeff: float = 0.05
     roa_coeff: float = 0.2
     roa_ramp: bool = False
     adaptation_epochs: int = 1
@@ -227,6 +229,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "noise_correlation": (0, 0.999),
     "final_std": (1e-3, 10),
     "anneal_from": (0, 0.99),
+    "smoothness_coeff": (0, 1e3),
     "roa_coeff": (0, 1e3),
     "adaptation_epochs": (1, 1000),
     "student_fraction": (0, 1),

@@ -13,7 +13,7 @@ from torchrl.objectives.utils import KLAdaptiveLR
 from torchrl.objectives.value import GAE
 
 from torchrl_atr.modules import RidingNetworks
-from torchrl_atr.objectives import LinearSchedule, ROAClipPPOLoss
+from torchrl_atr.objectives import LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.guard import StepGuard
 
@@ -41,6 +41,7 @@ class Learner:
             networks.intrinsic_estimator_module,
             networks.extrinsic_estimator_module,
             roa_coeff=config.roa_coeff,
+            smoothness_coeff=config.smoothness_coeff,
             extrinsic_scale=networks.ext_norm if config.normalize_targets else None,
             clip_epsilon=config.clip_epsilon,
             entropy_coeff=config.entropy_coeff,
@@ -108,6 +109,7 @@ class Learner:
         """
         with torch.no_grad():
             batch = self.advantage(batch.to(self.config.device))
+            batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
         flat = batch.reshape(-1)
         if self.config.act_source == "privileged":
             self._record_latent_estimates(flat)

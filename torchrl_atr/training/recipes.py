@@ -50,6 +50,13 @@ RECIPE_POINTS: dict[str, Point] = {
         "Once; the ancestors' code counts it twice.",
         ancestor=True,
     ),
+    "smoothness_coeff": Point(
+        "ours",
+        "The paper's r11 and r12 weigh 1e-5 and 1e-7: nothing keeps a policy from chattering at 50 Hz, which lifts\n"
+        "feet off the deck. By default the loss pulls each mean action towards that of the step before.",
+        literal=0.0,
+        ancestor=0.0,
+    ),
     "init_std": Point(
         "A21",
         "The paper gives no PPO hyper-parameters. The ancestors explore with a standard deviation of 1:\n"

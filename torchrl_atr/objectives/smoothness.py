@@ -1,0 +1,25 @@
+"""What ``loss_smoothness`` of :class:`~torchrl_atr.objectives.ROAClipPPOLoss` reads."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def previous_means(means: Tensor, done: Tensor) -> Tensor:
+    """The mean action of the step before, of collected batches; where there was none, the mean action itself.
+
+    Args:
+        means: that a rollout recorded, (N, T, A).
+        done: whether an episode ended with each step, (N, T, 1) bool.
+
+    Returns:
+        (N, T, A); the first step of the batch and of each episode have nothing before them.
+
+    Examples:
+        >>> means, done = torch.arange(4.0).reshape(1, 4, 1), torch.tensor([[[False], [True], [False], [False]]])
+        >>> previous_means(means, done).flatten().tolist()
+        [0.0, 0.0, 2.0, 2.0]
+    """
+    earlier = torch.where(done[:, :-1], means[:, 1:], means[:, :-1])
+    return torch.cat([means[:, :1], earlier], 1)
