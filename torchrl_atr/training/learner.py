@@ -101,8 +101,9 @@ class Learner:
             batch: from a collector that ran ``networks.rollout_policy(config.act_source)``.
 
         Returns:
-            Means over the iteration: losses, KL divergence, learning rate, estimator errors; and ``skipped_steps``, the
-            optimiser steps left out so far because they were not finite.
+            Means over the iteration: losses, KL divergence, learning rate, estimator errors; ``chatter``, the root mean
+            square of the mean actions' changes from step to step; ``skipped_steps``, the optimiser steps left out so
+            far because they were not finite.
 
         Raises:
             TrainingDiverged: if there is none that is finite any more.
@@ -110,6 +111,7 @@ class Learner:
         with torch.no_grad():
             batch = self.advantage(batch.to(self.config.device))
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
+            chatter = float((batch["loc"] - batch["previous_mean"]).square().mean().sqrt())
         flat = batch.reshape(-1)
         if self.config.act_source == "privileged":
             self._record_latent_estimates(flat)
@@ -119,7 +121,7 @@ class Learner:
         self.networks.update_normalizers(flat)
         self.buffer.empty()
         rate, skipped = self.schedule.get_last_lr()[0], float(self.guard.skipped)
-        return {**policy, **adaptation, "learning_rate": rate, "skipped_steps": skipped}
+        return {**policy, **adaptation, "learning_rate": rate, "skipped_steps": skipped, "chatter": chatter}
 
     def _record_latent_estimates(self, flat: TensorDictBase) -> None:
         """ẑ once an iteration, without gradient: what the encoder is pulled towards (Eq. 15's second term)."""

@@ -24,6 +24,7 @@ _SHOWN = (
     ("latent_error", "latent error", "{:.3f}"),
     ("extrinsic_error", "extrinsic error, std", "{:.3f}"),
     ("std", "action std", "{:.3f}"),
+    ("chatter", "action chatter", "{:.3f}"),
     ("kl_approx", "KL", "{:.4f}"),
     ("diverged", "diverged simulations", "{:.0f}"),
     ("skipped_steps", "skipped steps", "{:.0f}"),
