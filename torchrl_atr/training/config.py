@@ -115,7 +115,7 @@ class TrainConfig:
     noise_correlation: float = 0.9
     final_std: float = 0.1
     anneal_from: float = 0.35
-    smoothness_coeff: float = 0.05
+    smoothness_coeff: float = 0.3
     roa_coeff: float = 0.2
     roa_ramp: bool = False
     adaptation_epochs: int = 1
