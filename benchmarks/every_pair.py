@@ -22,7 +22,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from torchrl_atr._errors import UserError
-from torchrl_atr._files import atomic
+from torchrl_atr._files import atomic, write_json
 from torchrl_atr.envs import ROBOTS
 from torchrl_atr.envs.models import DESIGNS
 from torchrl_atr.envs.task.state import CONTROL_DT
@@ -40,7 +40,6 @@ from torchrl_atr.training import (
     read_config,
 )
 from torchrl_atr.training.checkpoint import NAME as CHECKPOINT
-from torchrl_atr.training.trainer import write_json
 
 PAIRS = tuple(f"{robot}:{transporter}" for robot in ROBOTS.names() for transporter in DESIGNS)
 COMPARISON = "comparison.json"

@@ -1,7 +1,8 @@
 """SIGKILL at random moments of a run: the last checkpoint must load, and the run must go on from it.
 
-``python -m benchmarks.kills`` starts a small run that saves after every iteration, kills it some time after its first
-checkpoint (while it collects, learns or saves), reads the checkpoint, goes on from it with ``--resume``, kills again.
+``python -m benchmarks.kills`` starts a small run that saves after every iteration, kills it, reads the checkpoint, goes
+on from it with ``--resume`` and kills again: in turns some time after the first checkpoint of that start, while it
+collects, learns or saves, and some time after the start of the process.
 """
 
 from __future__ import annotations
@@ -16,31 +17,33 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrl_atr._files import atomic
+from torchrl_atr._files import atomic, write_json
 from torchrl_atr.training import CheckpointError, load_checkpoint
 from torchrl_atr.training.checkpoint import NAME
 from torchrl_atr.training.provenance import machine
-from torchrl_atr.training.trainer import write_json
 
 SETTINGS = ("num_envs=8", "rollout_steps=4", "minibatches=1", "epochs=1", "num_threads=1", "checkpoint_seconds=0")
 _PATIENCE = 120.0
 """Seconds in which a run must have begun to save."""
 
 
-def kill_once(run: Path, delay: float) -> dict[str, Any]:
+def kill_once(run: Path, delay: float, from_start: bool = False) -> dict[str, Any]:
     """Starts or resumes a run, kills it, and looks at what it left.
 
     Args:
         run: the run folder; resumed if it holds a checkpoint.
-        delay: seconds between this start's first iteration and the kill.
+        delay: seconds until the kill.
+        from_start: whether they are counted from the start of the process, imports and the first save included,
+            instead of from the first checkpoint that is newer than the one it went on from.
 
     Returns:
         ``frames`` of the checkpoint before and after, ``temporary``, whether the kill left a half-written file, and
         ``lost``, why the run could not go on from where it was killed, or None.
     """
-    before = load_checkpoint(run)["frames"] if run.is_dir() else 0
-    start = ["--resume", str(run)] if run.is_dir() else ["--output", str(run), "--total-frames", "1e12"]
-    if not run.is_dir():
+    known = (run / NAME).is_file()
+    before = load_checkpoint(run / NAME)["frames"] if known else 0
+    start = ["--resume", str(run)] if known else ["--output", str(run), "--overwrite", "--total-frames", "1e12"]
+    if not known:
         start += [part for setting in SETTINGS for part in ("--set", setting)]
     process = subprocess.Popen(
         [sys.executable, "-m", "torchrl_atr.cli", "train", *start],
@@ -49,20 +52,25 @@ def kill_once(run: Path, delay: float) -> dict[str, Any]:
         text=True,
     )
     try:
-        lost = _wait_for_progress(process, run, before)
+        lost = None if from_start else _wait_for_progress(process, run, before)
         time.sleep(delay)
+        if lost is None and process.poll() is not None:
+            lost = f"the run ended by itself with code {process.returncode}"
     finally:
         process.kill()
         _, errors = process.communicate()
+    left = list(run.iterdir()) if run.is_dir() else []
+    result = {"before": before, "after": before, "temporary": any(f".{process.pid}.part" in f.name for f in left)}
     if lost is not None:
-        return {"before": before, "after": before, "temporary": False, "lost": f"{lost}: {errors.strip()[-200:]}"}
-    temporary = any(f".{process.pid}.part" in file.name for file in run.iterdir())
+        return {**result, "lost": f"{lost}: {errors.strip()[-200:]}"}
+    if from_start and not known and not (run / NAME).is_file():
+        return {**result, "lost": None}  # there was nothing to lose yet
     try:
-        after = load_checkpoint(run / NAME)["frames"]  # itself, not the one before that would stand in
+        result["after"] = load_checkpoint(run / NAME)["frames"]  # itself, not the one before that would stand in
     except CheckpointError as error:
-        return {"before": before, "after": None, "temporary": temporary, "lost": str(error)}
-    lost = None if after > before else "the checkpoint is older than the one that the run went on from"
-    return {"before": before, "after": after, "temporary": temporary, "lost": lost}
+        return {**result, "lost": str(error)}
+    gone_on = result["after"] >= before if from_start else result["after"] > before
+    return {**result, "lost": None if gone_on else "the checkpoint is older than the one that the run went on from"}
 
 
 def _wait_for_progress(process: subprocess.Popen[str], run: Path, frames: int) -> str | None:
@@ -86,16 +94,17 @@ def table(report: dict[str, Any]) -> str:
         "",
         f"`{report['command']}`: {report['wall_seconds']:.0f} s on {cores} ({hardware['processor']}).",
         "",
-        f"{len(kills)} kills (SIGKILL) of a run that saves after every iteration, each up to {report['longest']:g} s "
-        f"after its first checkpoint; {sum(kill['temporary'] for kill in kills)} of them left a half-written temporary "
-        "file. "
+        f"{len(kills)} kills (SIGKILL) of a run that saves after every iteration, in turns up to "
+        f"{report['longest']:g} s after its first checkpoint and up to {report['start']:g} s after the start of the "
+        f"process; {sum(kill['temporary'] for kill in kills)} of them left a half-written file. "
         f"Lost: {sum(kill['lost'] is not None for kill in kills)}.",
         "",
-        "| kill | seconds after the first checkpoint | frames before | frames in the checkpoint left | lost |",
-        "| --- | --- | --- | --- | --- |",
+        "| kill | seconds | after | frames before | frames in the checkpoint left | half-written file | lost |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for number, kill in enumerate(kills, start=1):
-        cells = (number, f"{kill['delay']:.2f}", kill["before"], kill["after"], kill["lost"] or "no")
+        after, half = "start" if kill["from_start"] else "checkpoint", "yes" if kill["temporary"] else "no"
+        cells = (number, f"{kill['delay']:.2f}", after, kill["before"], kill["after"], half, kill["lost"] or "no")
         lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join([*lines, ""])
 
@@ -106,21 +115,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("results/kills"), metavar="FOLDER")
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--longest", type=float, default=3.0, help="seconds from the first checkpoint to the kill")
+    parser.add_argument("--start", type=float, default=12.0, help="seconds from the start of the process to the kill")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     arguments = parser.parse_args(argv)
     moments, started, kills = random.Random(arguments.seed), time.monotonic(), []
     with tempfile.TemporaryDirectory() as folder:
-        for _ in range(arguments.kills):
-            delay = moments.uniform(0.0, arguments.longest)
-            kills.append({"delay": delay, **kill_once(Path(folder) / "run", delay)})
+        for number in range(arguments.kills):
+            from_start = number % 2 == 1
+            delay = moments.uniform(0.0, arguments.start if from_start else arguments.longest)
+            killed = kill_once(Path(folder) / "run", delay, from_start)
+            kills.append({"delay": delay, "from_start": from_start, **killed})
             sys.stdout.write(f"{len(kills)} of {arguments.kills}: {kills[-1]}\n")
             sys.stdout.flush()
             if kills[-1]["lost"] is not None:
                 break
     report = {
         "command": f"python -m benchmarks.kills --kills {arguments.kills} --longest {arguments.longest:g} "
-        f"--seed {arguments.seed}",
+        f"--start {arguments.start:g} --seed {arguments.seed}",
         "longest": arguments.longest,
+        "start": arguments.start,
         "wall_seconds": round(time.monotonic() - started, 1),
         "kills": kills,
         **machine(),

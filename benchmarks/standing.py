@@ -16,13 +16,12 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
-from torchrl_atr._files import atomic
+from torchrl_atr._files import atomic, write_json
 from torchrl_atr.envs import ROBOTS, RidingEnv, get_readings
 from torchrl_atr.envs.models import DESIGNS
 from torchrl_atr.envs.task.randomization import intrinsic_slices
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.training.provenance import machine
-from torchrl_atr.training.trainer import write_json
 
 
 @torch.no_grad()

@@ -7,7 +7,6 @@ evaluated every few minutes, as ``torchrl-atr evaluate`` does it, which is not p
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import tempfile
 import time
@@ -16,11 +15,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from torchrl_atr._files import atomic
+from torchrl_atr._files import atomic, write_json
 from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics
 from torchrl_atr.training import DEPLOYED, TrainConfig, Trainer, make_config, make_env
 from torchrl_atr.training.provenance import machine
-from torchrl_atr.training.trainer import write_json
 
 BAR = {"survival": (0.97, 1.0), "settled_speed_error": (0.0, 0.30), "settled_yaw_error": (0.0, 0.25)}
 """Least and largest value of each figure: share, m/s, rad/s."""
@@ -74,16 +72,16 @@ def train_until(config: TrainConfig, folder: Path, every: float, robots_per_comm
     trainer = Trainer(config, folder)
     tried: list[dict[str, Any]] = []
 
-    def check(metrics: dict[str, float]) -> None:
+    def check(metrics: dict[str, float]) -> bool:
         if metrics["minutes"] < every * (len(tried) + 1) and not trainer.finished:
-            return
+            return False
         figures = evaluate(trainer, config, robots_per_command)
         tried.append({"minutes": metrics["minutes"], "frames": int(metrics["frames"]), **figures})
         sys.stdout.write(f"seed {config.seed}: {tried[-1]}\n")
-        if meets(figures) and not trainer.finished:
-            signal.raise_signal(signal.SIGTERM)  # ends the run as a scheduler would
+        return meets(figures)
 
-    trainer.train(check)
+    if trainer.train(check) is not None:  # it was asked to stop
+        raise KeyboardInterrupt
     return tried
 
 

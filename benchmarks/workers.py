@@ -14,10 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrl_atr._files import atomic
+from torchrl_atr._files import atomic, write_json
 from torchrl_atr.training import Trainer, make_config
 from torchrl_atr.training.provenance import machine
-from torchrl_atr.training.trainer import write_json
 
 KINDS: dict[str, dict[str, Any]] = {
     "one process": {"collector": "direct"},
@@ -34,7 +33,10 @@ def final_return(settings: dict[str, Any], folder: Path) -> float:
     """
     rewards: list[float] = []
     config = make_config(settings)
-    Trainer(config, folder).train(lambda metrics: rewards.append(metrics.get("episode_reward", float("nan"))))
+    trainer = Trainer(config, folder)
+    trainer.train(lambda metrics: rewards.append(metrics.get("episode_reward", float("nan"))))
+    if not trainer.finished:  # it was asked to stop
+        raise KeyboardInterrupt
     last = [reward for reward in rewards[-max(1, len(rewards) // 10) :] if reward == reward]
     return sum(last) / len(last)
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 _FREE = "free some space; a run goes on from its last checkpoint with --resume"
 _CHOOSE = "choose a path that you may write to"
@@ -60,6 +63,21 @@ def naming(path: str | Path) -> Iterator[None]:
         if error.errno is not None:
             error.filename, error.filename2 = str(path), None
         raise
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Writes ``value``, whole or not at all."""
+    with atomic(path) as file:
+        file.write_text(json.dumps(value, indent=2) + "\n")
+
+
+def say(text: str) -> None:
+    """Writes a line for whoever reads; a pipe whose reader has left must not end hours of work."""
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:  # nor may the interpreter's own flush complain
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def sweep(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 
 import pytest
@@ -9,7 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs import RidingEnv
+from torchrl_atr.envs import ROBOTS, RidingEnv, get_transporter
 from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.task import core
 from torchrl_atr.evaluation import replay
@@ -33,12 +34,23 @@ def spoil_observation(env, monkeypatch):
     monkeypatch.setattr(core.observations, "proprio", spoiled)
 
 
+def spoil_term(env, monkeypatch):
+    compute = core.rewards.compute_rewards
+
+    def spoiled(*arguments, **keywords):
+        reward, terms = compute(*arguments, **keywords)
+        terms["force_regulation"][BAD] = torch.nan
+        return reward, terms
+
+    monkeypatch.setattr(core.rewards, "compute_rewards", spoiled)
+
+
 def spoil_reward(env, monkeypatch):
     compute = core.rewards.compute_rewards
 
     def spoiled(*arguments, **keywords):
         reward, terms = compute(*arguments, **keywords)
-        reward[BAD] = terms["force_regulation"][BAD] = torch.inf
+        reward[BAD] = torch.inf
         return reward, terms
 
     monkeypatch.setattr(core.rewards, "compute_rewards", spoiled)
@@ -62,7 +74,8 @@ def ride(env, monkeypatch, spoil=None, steps=STEP + 1):
     [
         (spoil_simulation, "its simulation diverged"),
         (spoil_observation, "'proprio' is not finite"),
-        (spoil_reward, "'reward_terms/force_regulation' is not finite"),
+        (spoil_term, "'reward_terms/force_regulation' is not finite"),
+        (spoil_reward, "'reward' is not finite"),
     ],
 )
 def test_it_is_contained_named_and_dumped(spoil, reason, tmp_path, monkeypatch, caplog):
@@ -74,6 +87,9 @@ def test_it_is_contained_named_and_dumped(spoil, reason, tmp_path, monkeypatch, 
         assert torch.isfinite(wild[key].float()).all(), key
         assert torch.equal(wild[key][OTHERS], calm[key][OTHERS]), key
     assert wild["terminated"][:, -1, 0].tolist() == [False, False, True, False]
+    # nothing of such a step can be scored but its end, and the terms still add up
+    assert wild["reward"][BAD, -1].item() == pytest.approx(-0.2)
+    assert sum(term[BAD, -1].item() for term in wild["reward_terms"].values()) == pytest.approx(-0.2)
     assert env.num_diverged == 1
     (path,) = tmp_path.iterdir()
     assert f"env id {BAD}: {reason}" in caplog.text
@@ -109,6 +125,21 @@ def test_an_action_that_is_no_number_is_refused_by_name():
     action[BAD, 3] = torch.nan
     with pytest.raises(InputError, match=rf"'action' is not finite for env ids \[{BAD}\]"):
         env.step(env.reset().set("action", action))
+
+
+def test_a_dump_that_cannot_be_written_does_not_end_the_run(tmp_path, monkeypatch, caplog):
+    (tmp_path / "file").write_text("in the way")
+    wild = ride(RidingEnv(num_envs=4, seed=0, dump_dir=tmp_path / "file"), monkeypatch, spoil_simulation)
+    assert wild["terminated"][BAD, -1].all()
+    assert "it could not be written to" in caplog.text
+
+
+def test_a_dump_of_another_robot_of_that_name_is_refused(tmp_path, monkeypatch):
+    heavy = dataclasses.replace(get_transporter("single_board", ROBOTS.get("a1")), mass=30.0)
+    ride(RidingEnv(num_envs=4, seed=0, transporter=heavy, dump_dir=tmp_path), monkeypatch, spoil_simulation)
+    (path,) = tmp_path.iterdir()
+    with pytest.raises(InputError, match="another 'a1' on 'single_board_g1' than the ones known here"):
+        list(replay(path))
 
 
 def test_what_is_no_dump_is_named(tmp_path):

@@ -39,6 +39,15 @@ def test_the_one_before_stays_and_stands_in(tmp_path, caplog):
     assert load_checkpoint(tmp_path)["frames"] == 2
 
 
+def test_a_damaged_one_does_not_take_the_place_of_its_stand_in(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    for frames in (1, 2):
+        save_checkpoint(path, {"frames": frames})
+    path.write_bytes(path.read_bytes()[:100])
+    save_checkpoint(path, {"frames": 3})
+    assert [load_checkpoint(tmp_path / name)["frames"] for name in ("checkpoint.pt", "previous.pt")] == [3, 1]
+
+
 @pytest.mark.parametrize("keep", [0, 10, 200])
 def test_truncated(tmp_path, keep):
     path = tmp_path / "checkpoint.pt"

@@ -92,7 +92,7 @@ def test_a_killed_worker_is_a_named_error_and_leaves_no_orphans(collector):
     _, _, collection = start(collector)
     collection.collect()
     pids, killed = kill_a_worker(collection), time.monotonic()
-    with pytest.raises(CollectionError, match=f"collector='{collector}': a worker died .* --resume"):
+    with pytest.raises(CollectionError, match=f"collector='{collector}': a worker failed .* --resume"):
         go_on(collection)
     collection.shutdown()
     assert time.monotonic() - killed < 60

@@ -99,3 +99,31 @@ def test_what_a_killed_run_left_half_written_is_swept(tmp_path):
     (run / ".mine").write_text("kept")
     Trainer(make_config(TINY), run)
     assert [file.name for file in run.iterdir()] == [".mine"]
+
+
+def test_a_new_run_in_an_old_ones_folder_is_not_mixed_with_it(tmp_path):
+    run = tmp_path / "run"
+    for seed in (1, 2):
+        Trainer(make_config({**TINY, "seed": seed}), run).train()
+    assert not (run / "best.pt").exists()
+    assert load_checkpoint(run / "previous.pt")["config"]["seed"] == 2
+
+
+def test_a_callback_can_end_a_run_and_the_trainer_goes_on(tmp_path):
+    trainer = Trainer(make_config(TINY), tmp_path / "run")
+    assert trainer.train(lambda metrics: metrics["iteration"] == 1) is None
+    trainer.save()
+    assert load_checkpoint(tmp_path / "run")["collection"]
+    trainer.train()
+    assert trainer.finished
+
+
+def test_a_reader_who_left_does_not_end_the_run(tmp_path, monkeypatch):
+    def closed(text):
+        raise BrokenPipeError
+
+    monkeypatch.setattr("sys.stdout.write", closed)
+    monkeypatch.setattr("os.dup2", lambda *files: None)
+    trainer = Trainer(make_config(TINY), tmp_path / "run")
+    trainer.train()
+    assert trainer.finished

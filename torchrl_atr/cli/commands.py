@@ -152,7 +152,9 @@ def play(arguments: argparse.Namespace) -> None:
 def replay(arguments: argparse.Namespace) -> None:
     """``torchrl-atr replay``."""
     from torchrl_atr.evaluation import replay as replayed
+    from torchrl_atr.training.assembly import import_modules
 
+    import_modules(arguments.imports or ())
     sys.stdout.write(f"{'step':>6}{'v, m/s':>10}{'w, rad/s':>10}{'tilt, rad':>11}{'max |qvel|':>12}{'max |a|':>9}\n")
     for step in replayed(arguments.dump, arguments.video):
         figures = f"{step.speed:10.3f}{step.yaw_rate:10.3f}{step.tilt:11.3f}{step.largest_velocity:12.4g}"

@@ -80,6 +80,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
     replay.add_argument("dump", type=_path)
+    replay.add_argument("--import", dest="imports", action="append", metavar="MODULE", help="import it first")
     replay.add_argument("--video", type=_path, help="write an .mp4 or .gif, slowed down ten times")
     _add_bench(commands.add_parser("bench", help="measure speed against limits and peers (from a clone)"))
     model = commands.add_parser("model", help="write a robot on its transporter as one MJCF file")

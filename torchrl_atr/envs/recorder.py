@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-import os
+import hashlib
+import uuid
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
+from torchrl_atr.envs.models.robot_file import is_robot_file
 from torchrl_atr.envs.task.core import RidingTask
 
-LENGTH = 50
-"""Control steps that are kept: 1 s."""
-_LIMIT = 20
-"""Dumps that one env writes: the first failures tell the most, and a disk is finite."""
+LENGTH = 25
+"""Control steps that are kept: half a second, some 18 kB for a robot."""
+_PARTS = {"scene", "env_id", "step", "reason", "x_int", "states", "actions"}
 
 
 class FlightRecorder:
@@ -38,7 +40,7 @@ class FlightRecorder:
         self.task, self.scene, self.folder, self.length = task, scene, folder, length
         self._rings = {name: np.zeros((length, *a.shape)) for name, a in task.engine.live_state.items()}
         self._actions = torch.zeros(length, *task.previous_action.shape)
-        self._noted = self.num_dumps = 0
+        self._noted = 0
 
     def note(self, action: Tensor) -> None:
         """Records a control step between the task's ``act`` and the engine's ``advance``.
@@ -52,7 +54,7 @@ class FlightRecorder:
         self._actions[slot] = action
         self._noted += 1
 
-    def dump(self, row: int, reason: str) -> Path | None:
+    def dump(self, row: int, reason: str) -> str:
         """Writes what is recorded of a robot's present episode.
 
         Args:
@@ -60,14 +62,11 @@ class FlightRecorder:
             reason: what went wrong.
 
         Returns:
-            The file, plain tensors that ``torch.load(..., weights_only=True)`` reads; None once there are enough.
+            How to look at it, or why it could not be written: a full disk must not end what a failure did not.
         """
-        if self.num_dumps >= _LIMIT:
-            return None
-        self.num_dumps += 1
         kept = min(self._noted, self.length, int(self.task.steps[row]))
         slots = [(self._noted - kept + i) % self.length for i in range(kept)]
-        path = self.folder / f"diverged-{os.getpid()}-{self.num_dumps:02d}-env{row}.pt"
+        path = self.folder / f"diverged-{uuid.uuid4().hex[:8]}-env{row}.pt"
         content = {
             "scene": self.scene,
             "env_id": row,
@@ -77,9 +76,12 @@ class FlightRecorder:
             "states": {name: torch.from_numpy(ring[slots, row]) for name, ring in self._rings.items()},
             "actions": self._actions[slots, row].clone(),
         }
-        with atomic(path) as file:
-            torch.save(content, file)
-        return path
+        try:
+            with atomic(path) as file:
+                torch.save(content, file)
+        except (OSError, RuntimeError) as error:
+            return f"; it could not be written to {path} ({error})"
+        return f"; see it with: torchrl-atr replay {path}"
 
 
 def describe_scene(task: RidingTask, robot: Any) -> dict[str, Any]:
@@ -90,10 +92,22 @@ def describe_scene(task: RidingTask, robot: Any) -> dict[str, Any]:
         robot: as the env was given it; a spec of one's own is named, and must be registered to be replayed.
     """
     return {
-        "robot": str(robot) if isinstance(robot, str | Path) else task.scene.robot.name,
+        "robot": _portable(robot) if isinstance(robot, str | Path) else task.scene.robot.name,
         "transporter": task.scene.transporter.name,
         "readings": dataclasses.asdict(task.readings),
+        "model": fingerprint(task.scene.model),
     }
+
+
+def _portable(robot: str | Path) -> str:
+    return str(Path(robot).resolve()) if is_robot_file(str(robot)) else str(robot)
+
+
+def fingerprint(model: mujoco.MjModel) -> str:
+    """Of a compiled model: the same names may stand for another robot where a dump is read."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return hashlib.sha256(buffer.tobytes()).hexdigest()
 
 
 def load_dump(path: Path) -> dict[str, Any]:
@@ -107,8 +121,12 @@ def load_dump(path: Path) -> dict[str, Any]:
     try:
         dump = torch.load(path, map_location="cpu", weights_only=True)
         states, actions = dump["states"], dump["actions"]
-        if not len(actions) or any(len(value) != len(actions) for value in states.values()):
-            raise ValueError("no steps")
+        if (
+            not dump.keys() >= _PARTS
+            or not len(actions)
+            or any(len(value) != len(actions) for value in states.values())
+        ):
+            raise ValueError("parts are missing")
     except Exception as error:  # whatever unpickling a file of another kind comes to
         raise InputError(f"{path} is not a dump of a diverged simulation; give a file of a run's diverged/") from error
     return dump

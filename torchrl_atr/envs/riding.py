@@ -23,6 +23,8 @@ from torchrl_atr.envs.task import rewards
 from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
 from torchrl_atr.envs.task.guard import not_finite
 
+_LOGGED = 20
+"""Failures that are logged and dumped: the first tell the most, and a disk is finite."""
 _LOG = logging.getLogger(__name__)
 PhysicsEngine = Literal["batch", "dm_control"]
 
@@ -187,20 +189,23 @@ class RidingEnv(EnvBase):
         return self._pack(self._emitted, outcome.terminated, outcome.terms).set("reward", outcome.reward)
 
     def _contain(self, outcome: Outcome) -> None:
-        """Ends the episodes of robots that failed, with zeros instead of what is no number."""
+        """Ends the episodes of robots that failed; where what they observe is no number, it is zero."""
         terms = {("reward_terms", name): term for name, term in outcome.terms.items()}
-        failed = not_finite({**self._emitted, **terms})
-        for row in failed:
-            for value in (*self._emitted.values(), *outcome.terms.values(), outcome.reward):
-                value[row] = value[row].nan_to_num(0.0, 0.0, 0.0)
-            outcome.terminated[row] = True
-        reasons = dict.fromkeys(self.engine.diverged.nonzero()[0].tolist(), "its simulation diverged")
-        reasons |= {row: f"{name!r} is not finite" for row, name in failed.items()}
-        self.task.num_diverged += len(reasons)
-        for row, reason in reasons.items():
-            path = None if self._recorder is None else self._recorder.dump(row, reason)
-            hint = "" if path is None else f"; see it with: torchrl-atr replay {path}"
-            _LOG.warning("env id %d: %s, its episode ends%s", row, reason, hint)
+        unnumbered = not_finite({**self._emitted, **terms, "reward": outcome.reward})
+        failed = dict.fromkeys(self.engine.diverged.nonzero()[0].tolist(), "its simulation diverged")
+        failed |= {row: f"{name!r} is not finite" for row, name in unnumbered.items()}
+        if not failed:
+            return
+        rows = list(failed)
+        for key, value in self._emitted.items():
+            self._emitted[key] = value.clone()  # some are views of the task's own
+            self._emitted[key][rows] = value[rows].nan_to_num(0.0, 0.0, 0.0)
+        self.task.end(rows, outcome)
+        for row, reason in failed.items():
+            self.task.num_diverged += 1
+            if self.task.num_diverged <= _LOGGED:
+                hint = "" if self._recorder is None else self._recorder.dump(row, reason)
+                _LOG.warning("env id %d: %s, its episode ends%s", row, reason, hint)
 
     def _command(self, tensordict: TensorDictBase | None) -> Tensor:
         shape = (*self.batch_size, len(COMMAND_FEATURES))

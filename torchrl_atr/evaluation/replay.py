@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr.envs import Readings, RidingEnv
 from torchrl_atr.envs.physics.engine import DECIMATION
-from torchrl_atr.envs.recorder import load_dump
+from torchrl_atr.envs.recorder import fingerprint, load_dump
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.evaluation.rendering import Picture
 from torchrl_atr.evaluation.video import check_suffix, video_writer
@@ -52,23 +53,14 @@ def replay(path: str | Path, video: str | Path | None = None) -> Iterator[Replay
         The recorded steps, oldest first; the last one is the step that failed.
 
     Raises:
-        InputError: if it is no dump, or the video has another suffix.
+        InputError: if it is no dump, its robot or transporter is another one here, or the video has another suffix.
         UnknownNameError: if its robot or transporter is not registered here.
         DisplayError: if there is a video to make and nothing here can render.
     """
     dump = load_dump(Path(path))
     if video is not None:
         check_suffix(video)
-    env = RidingEnv(
-        dump["scene"]["robot"],
-        dump["scene"]["transporter"],
-        num_envs=1,
-        profile=Readings(**dump["scene"]["readings"]),
-        randomization="off",
-        pushes=False,
-        num_threads=1,
-        seed=0,
-    )
+    env = _scene(dump, Path(path))
     steps = _steps(env, dump)
     if video is None:
         yield from steps
@@ -82,6 +74,30 @@ def replay(path: str | Path, video: str | Path | None = None) -> Iterator[Replay
             text = f"step {step.step}" + ("\nfailed: " + dump["reason"] if step.diverged else "")
             writer.add_image(picture.render(text, dt=10 * CONTROL_DT))
             yield step
+
+
+def _scene(dump: dict[str, Any], path: Path) -> RidingEnv:
+    scene = dump["scene"]
+    try:
+        readings = Readings(**scene["readings"])
+    except TypeError as error:
+        raise InputError(f"{path} was written by another version ({error}); replay it with that one") from error
+    env = RidingEnv(
+        scene["robot"],
+        scene["transporter"],
+        num_envs=1,
+        profile=readings,
+        randomization="off",
+        pushes=False,
+        num_threads=1,
+        seed=0,
+    )
+    if fingerprint(env.model) != scene["model"]:
+        raise InputError(
+            f"{path} is of another {scene['robot']!r} on {scene['transporter']!r} than the ones known here; register "
+            "those that it was written with"
+        )
+    return env
 
 
 def _steps(env: RidingEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:

@@ -15,11 +15,17 @@ from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import NetworkKeys, RidingNetworks, leg_synergies, make_networks
-from torchrl_atr.training.checkpoint import load_checkpoint
+from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.restoring import load_networks, run_config
 
-DEPLOYED: dict[str, Any] = {"moving_start": 0.0, "pushes": False, "runaway_margin": None, "max_steps": 2**31 - 1}
+DEPLOYED: dict[str, Any] = {
+    "moving_start": 0.0,
+    "pushes": False,
+    "runaway_margin": None,
+    "max_steps": 2**31 - 1,
+    "retry": 0.0,
+}
 """Env arguments without what belongs to training only: a ride from rest that nothing but a fall ends."""
 
 
@@ -108,6 +114,8 @@ def load_run(
     Raises:
         CheckpointError: if there is no readable checkpoint, or it does not fit this code.
     """
+    if checkpoint is not None and not (run / checkpoint).is_file():
+        raise CheckpointError(f"{run} has no {checkpoint}; train for longer, or take the last checkpoint")
     state = load_checkpoint(run if checkpoint is None else run / checkpoint)
     config = run_config(state, run, device="cpu")  # wherever it was trained
     import_modules(config.imports)

@@ -47,7 +47,7 @@ def save_checkpoint(path: Path, state: dict[str, Any], best: bool = False) -> No
             file.flush()
             os.fsync(file.fileno())
         load_checkpoint(temporary)
-        if path.is_file():
+        if path.is_file() and _is_whole(path):  # a damaged one must not take the place of the one that stood in for it
             _name_too(path, path.with_name(PREVIOUS))
     if best:
         _name_too(path, path.with_name(BEST))
@@ -103,6 +103,14 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
             f"torchrl_atr that wrote it{_writer(state)}, or train anew"
         )
     return state
+
+
+def _is_whole(path: Path) -> bool:
+    try:
+        _check_whole(path)
+    except zipfile.BadZipFile:
+        return False
+    return True
 
 
 def _check_whole(path: Path) -> None:

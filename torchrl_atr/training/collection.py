@@ -33,6 +33,8 @@ _ENDLESS = 2**62
 """Frames, for the engines that do not read -1 as endless."""
 _SEED_STRIDE = 1000
 """Between the seeds of two workers."""
+_RESUME_STRIDE = 7919
+"""Between the seeds of a worker that starts at one iteration and at the next."""
 
 
 class CollectionError(UserError, RuntimeError):
@@ -51,6 +53,7 @@ class Collection:
         env: this process's env; its first transform is the curriculum that is saved and shown.
         make_env: ``make_env(num_envs=n, seed=s, num_threads=t)`` for a worker.
         policy: shared with the learner.
+        started: iterations that the run has behind it, so that workers of a resumed run meet other robots.
 
     Raises:
         CollectionError: if a worker dies while it starts.
@@ -62,16 +65,23 @@ class Collection:
         env: TransformedEnv,
         make_env: Callable[..., TransformedEnv],
         policy: TensorDictModuleBase,
+        started: int = 0,
     ) -> None:
         self.config, self.env, self.policy = config, env, policy
         self.curriculum: CommandCurriculum = env.transform[0]
         self.remote = config.collector != "direct"
         self.callable = config.collector in ("process", "ray")
         self._broken = False
-        self.collector = self._make(make_env)
-        self.publish()
-        self._spread()
-        self._batches = iter(self.collector)
+        self._started = started
+        try:
+            with self._workers("could not be started"):
+                self.collector = self._make(make_env)
+                self.publish()
+                self._spread()
+                self._batches = iter(self.collector)
+        except CollectionError:
+            self.shutdown()
+            raise
 
     def _make(self, make_env: Callable[..., TransformedEnv]) -> BaseCollector:
         config = self.config
@@ -92,7 +102,7 @@ class Collection:
                 make_env,
                 self.curriculum.weights.clone(),
                 num_envs=config.num_envs // config.workers,
-                seed=config.seed + _SEED_STRIDE * (worker + 1),
+                seed=(config.seed + _SEED_STRIDE * (worker + 1) + _RESUME_STRIDE * self._started) % 2**31,
                 num_threads=threads,
             )
             for worker in range(config.workers)
@@ -135,7 +145,7 @@ class Collection:
                 self._spread()
 
     @contextmanager
-    def _workers(self) -> Iterator[None]:
+    def _workers(self, what: str = "failed") -> Iterator[None]:
         """Turns what TorchRL's engines raise when a worker is gone into one error."""
         try:
             yield
@@ -144,8 +154,8 @@ class Collection:
                 raise
             self._broken = True
             raise CollectionError(
-                f"collector={self.config.collector!r}: a worker died ({_first_line(error)}); go on from the last "
-                "checkpoint with --resume"
+                f"collector={self.config.collector!r}: a worker {what} ({_first_line(error)}, see above); "
+                "go on from the last checkpoint with --resume"
             ) from error
 
     def _spread(self) -> None:
@@ -154,11 +164,11 @@ class Collection:
             self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
 
     @property
-    def num_diverged(self) -> int:
-        """Simulations that have diverged so far, where workers can be asked."""
+    def num_diverged(self) -> int | None:
+        """Robots that have failed so far; None where workers cannot be asked."""
         if not self.remote:
             return self.env.base_env.num_diverged
-        return sum(self.collector.get_distant_attr("env.base_env.num_diverged")) if self.callable else 0
+        return sum(self.collector.get_distant_attr("env.base_env.num_diverged")) if self.callable else None
 
     def state_dict(self) -> dict[str, Any]:
         """What the next batch depends on besides the networks, in plain dicts of tensors; empty with workers.
@@ -201,14 +211,16 @@ class Collection:
             self.collector.shutdown(close_env=False)
             return
         try:
-            self.collector.shutdown()
+            if hasattr(self, "collector"):  # it was made
+                self.collector.shutdown()
         except RuntimeError:
             if not self._broken:  # it waits for every worker's answer, and one is gone
                 raise
         finally:
-            for process in getattr(self.collector, "jobs", ()):  # of the distributed engine
-                process.kill()
-                process.join()
+            if self._broken:  # it may not have got to its workers, or never have been made
+                for process in multiprocessing.active_children():
+                    process.kill()
+                    process.join()
             if torch.distributed.is_initialized():
                 torch.distributed.destroy_process_group()
 

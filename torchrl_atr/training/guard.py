@@ -51,8 +51,10 @@ class StepGuard:
         Raises:
             TrainingDiverged: after ``patience`` steps in a row that were not; names what is not finite.
         """
-        culprits = [str(key) for key, value in terms.items() if key.startswith("loss_") and not _finite(value)]
-        culprits += [f"the gradient of the {name}" for name, norm in norms.items() if not _finite(norm)]
+        named = {str(key): value for key, value in terms.items() if key.startswith("loss_")}
+        named |= {f"the gradient of the {name}": norm for name, norm in norms.items()}
+        finite = torch.stack([value.detach().float() for value in named.values()]).isfinite().tolist()  # one transfer
+        culprits = [name for name, good in zip(named, finite) if not good]
         kind = tuple(norms)
         if not culprits:
             self._in_a_row[kind] = 0
@@ -65,7 +67,3 @@ class StepGuard:
                 "ends with its last checkpoint, go on from it with --resume or start anew with a lower learning rate"
             )
         return False
-
-
-def _finite(value: Tensor) -> bool:
-    return bool(torch.isfinite(value).all())

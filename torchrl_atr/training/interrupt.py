@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 from types import FrameType
 from typing import Any
+
+from torchrl_atr._files import say
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -44,5 +45,4 @@ class Interrupt:
         if self.signal is not None:
             raise KeyboardInterrupt
         self.signal = number
-        sys.stdout.write("stopping after this iteration; once more to stop at once\n")
-        sys.stdout.flush()
+        say("stopping after this iteration; once more to stop at once")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -139,10 +140,10 @@ class Learner:
                 if too_far:
                     continue
                 terms = self.loss.policy_loss(minibatch)
-                divergence = _kl_divergence(terms)
-                if not fresh and divergence.isfinite():
+                divergence = float(_kl_divergence(terms))
+                if not fresh and math.isfinite(divergence):
                     self.schedule.step(divergence)
-                fresh, too_far = False, bool(divergence > _TOO_FAR * self.schedule.target_kl)
+                fresh, too_far = False, divergence > _TOO_FAR * self.schedule.target_kl
                 if not too_far:
                     self._step(terms, "policy", "critic")
                 yield terms
@@ -176,6 +177,7 @@ class Learner:
             "optimizers": {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()},
             "schedule": self.schedule.state_dict(),
             "roa_coeff": float(self.loss.roa_coeff),
+            "skipped_steps": self.guard.skipped,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -185,6 +187,7 @@ class Learner:
             optimizer.load_state_dict(state["optimizers"][name])
         self.schedule.load_state_dict(state["schedule"])
         self.loss.roa_coeff = state["roa_coeff"]
+        self.guard.skipped = state.get("skipped_steps", 0)
 
 
 def _kl_divergence(terms: TensorDictBase) -> Tensor:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrl_atr._errors import InputError
-from torchrl_atr._files import atomic, naming
+from torchrl_atr._files import atomic, naming, say
 from torchrl_atr.training.config import TrainConfig
 
 _SHOWN = (
@@ -47,7 +47,7 @@ class Progress:
         self.run, self.config = run, config
         self._csv_path = run / "progress.csv"
         self._fields: list[str] = []
-        self._purge_step = resume_from
+        self._purge_step = None if resume_from is None else resume_from + 1
         if resume_from is None:
             self._csv_path.unlink(missing_ok=True)
         elif self._csv_path.is_file():
@@ -84,8 +84,7 @@ class Progress:
             self._live.update(self._table())
         elif time.monotonic() - self._last_line > _LINE_SECONDS:
             self._last_line = time.monotonic()
-            sys.stdout.write(self._line() + "\n")
-            sys.stdout.flush()
+            say(self._line())
 
     def _keep_rows(self, frames: int) -> list[str]:
         """Drops the rows of iterations that the checkpoint has not seen; returns the columns."""

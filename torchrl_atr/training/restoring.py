@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from torchrl_atr._errors import UserError
 from torchrl_atr.training.checkpoint import CheckpointError
@@ -62,8 +62,7 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
     Raises:
         CheckpointError: if names or shapes differ, or a number is not finite.
     """
-    here = {name: tuple(value.shape) for name, value in networks.state_dict().items()}
-    there = {name: tuple(value.shape) for name, value in weights.items()}
+    here, there = _shapes(networks.state_dict()), _shapes(weights)
     different = [name for name in {**here, **there} if here.get(name) != there.get(name)]
     if different:
         name = different[0]
@@ -73,6 +72,11 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
             "that trained them"
         )
     for name, value in weights.items():
-        if not torch.isfinite(value).all():
+        if isinstance(value, Tensor) and not torch.isfinite(value).all():
             raise CheckpointError(f"the networks in {run} hold a NaN or infinity in {name}; use an earlier checkpoint")
     networks.load_state_dict(dict(weights))
+
+
+def _shapes(weights: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+    """By name; what is no tensor, a module's extra state, is not compared."""
+    return {name: tuple(value.shape) for name, value in weights.items() if isinstance(value, Tensor)}

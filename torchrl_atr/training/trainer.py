@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import sys
+import shutil
 import time
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -13,12 +12,12 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 
-from torchrl_atr._files import atomic, sweep
+from torchrl_atr._files import say, sweep, write_json
 from torchrl_atr.envs.task.rewards import MAX_TRACKING
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.modules import correlate, get_estimator
 from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
-from torchrl_atr.training.checkpoint import NAME, save_checkpoint
+from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, save_checkpoint
 from torchrl_atr.training.collection import Collection, CollectionError
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.interrupt import Interrupt
@@ -48,8 +47,10 @@ class Trainer:
         get_estimator(config.estimator)  # an unknown name is refused before anything is written
         run.mkdir(parents=True, exist_ok=True)
         sweep(run)
+        if state is None:
+            _clear(run)
         torch.manual_seed(config.seed)
-        self._make_env = partial(make_env, config, dump_dir=run / "diverged")
+        self._make_env = partial(make_env, config, dump_dir=run.resolve() / "diverged")
         self.env = self._make_env()
         self.curriculum = self.env.transform[0]
         scale = CONTROL_DT if self.env.base_env.readings.rewards_times_dt else 1.0
@@ -61,37 +62,41 @@ class Trainer:
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
         self.reward, self.best_reward = 0.0, float("-inf")  # of episodes: running mean, and the best at a checkpoint
         self._mark = time.monotonic()  # the end of the last iteration
-        self._state = state
+        self._carried: dict[str, Any] = {}  # what the next batch depends on besides the networks
+        self._rng: torch.Tensor | None = None
         if state is not None:
             self._restore(state)
         self.progress = Progress(run, config, resume_from=self.frames if state is not None else None)
 
-    def train(self, on_iteration: Callable[[dict[str, float]], None] | None = None) -> int | None:
+    def train(self, on_iteration: Callable[[dict[str, float]], bool | None] | None = None) -> int | None:
         """Trains until ``total_frames`` or ``max_minutes``, saving a checkpoint first, now and then, and last.
 
         SIGINT and SIGTERM end it after the iteration at hand, with a checkpoint.
 
         Args:
-            on_iteration: called with each iteration's metrics; its time is not part of the run's.
+            on_iteration: called with each iteration's metrics; its time is not part of the run's. If it returns True,
+                the run ends.
 
         Returns:
             The signal that ended it early, or None.
         """
         write_json(self.run / "config.json", self.config.to_dict())
-        try:
-            _ = self.collection  # workers take a while: not part of the first iteration's time
-            self.save()
-            with self.progress, Interrupt() as interrupt:
-                self._loop(interrupt, on_iteration)
-            self.save()
-        except CollectionError:
-            self.save()  # what was learned is whole: it was the next batch that did not come
-            raise
-        finally:
-            if "collection" in vars(self):
-                self.collection.shutdown()
-        if interrupt.signal is not None:
-            sys.stdout.write(f"stopped; go on with: torchrl-atr train --resume {self.run}\n")
+        with Interrupt() as interrupt:
+            try:
+                _ = self.collection  # workers take a while: not part of the first iteration's time
+                self.save()
+                with self.progress:
+                    self._loop(interrupt, on_iteration)
+                self.save()
+            except CollectionError:
+                self.save()  # what was learned is whole: it was the next batch that did not come
+                if interrupt.signal is None:  # a whole process group may be asked to stop, workers included
+                    raise
+            finally:
+                self._close()
+        if interrupt.signal is None or self.finished:
+            return None
+        say(f"stopped; go on with: torchrl-atr train --resume {self.run}")
         return interrupt.signal
 
     @cached_property
@@ -100,20 +105,26 @@ class Trainer:
         config = self.config
         policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
         policy = correlate(policy, config.noise_correlation)
-        collection = Collection(config, self.env, self._make_env, policy)
-        if self._state is not None:
-            collection.load_state_dict(self._state.get("collection", {}))
-            torch.set_rng_state(self._state["rng"])  # last: building all this drew from it
+        collection = Collection(config, self.env, self._make_env, policy, started=self.iteration)
+        collection.load_state_dict(self._carried)
+        if self._rng is not None:
+            torch.set_rng_state(self._rng)  # last: building all this drew from it
         return collection
 
-    def _loop(self, interrupt: Interrupt, on_iteration: Callable[[dict[str, float]], None] | None) -> None:
+    def _close(self) -> None:
+        if "collection" in vars(self):
+            self.collection.shutdown()
+            del self.collection
+
+    def _loop(self, interrupt: Interrupt, on_iteration: Callable[[dict[str, float]], bool | None] | None) -> None:
         saved = self._mark = time.monotonic()
         while not self.finished and interrupt.signal is None:
             metrics = self.iterate()
             self.progress.update(metrics)
             if on_iteration is not None:
-                on_iteration(metrics)
-                self._mark = time.monotonic()  # its time is its own
+                if on_iteration(metrics):
+                    return
+                self._mark = time.monotonic()
             if time.monotonic() - saved > self.config.checkpoint_seconds:
                 self.save()
                 saved = time.monotonic()
@@ -147,7 +158,7 @@ class Trainer:
         self.seconds += now - self._mark
         self._mark = now
         if "episode_reward" in metrics:
-            self.reward += _MEMORY * (metrics["episode_reward"] - self.reward)
+            self.reward += max(_MEMORY, 1 / self.iteration) * (metrics["episode_reward"] - self.reward)
         metrics["frames"], metrics["iteration"], metrics["minutes"] = self.frames, self.iteration, self.seconds / 60
         return metrics
 
@@ -159,14 +170,16 @@ class Trainer:
         metrics["command_area"] = self.curriculum.command_area[0]
         metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
         metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
-        metrics["diverged"] = self.collection.num_diverged
+        if self.collection.num_diverged is not None:
+            metrics["diverged"] = self.collection.num_diverged
         return metrics
 
     def save(self) -> None:
         """Writes the checkpoint (config, learner, curriculum, collection, counters) and where it comes from."""
         origin = provenance(self.config, self.frames, self.seconds)
         write_json(self.run / "run.json", origin)
-        carried = self._state.get("collection", {}) if self._state else {}
+        if "collection" in vars(self):
+            self._carried = self.collection.state_dict()
         best = self.iteration > 1 / _MEMORY and self.reward > self.best_reward
         self.best_reward = self.reward if best else self.best_reward
         save_checkpoint(
@@ -175,7 +188,7 @@ class Trainer:
                 "config": self.config.to_dict(),
                 "learner": self.learner.state_dict(),
                 "curriculum": {"weights": self.curriculum.weights, **self.curriculum.get_extra_state()},
-                "collection": self.collection.state_dict() if "collection" in vars(self) else carried,
+                "collection": self._carried,
                 "frames": self.frames,
                 "iteration": self.iteration,
                 "seconds": self.seconds,
@@ -194,11 +207,14 @@ class Trainer:
         self.curriculum.set_extra_state({k: v for k, v in state["curriculum"].items() if k != "weights"})
         self.frames, self.iteration = state["frames"], state["iteration"]
         self.seconds = state["seconds"]
+        self._carried, self._rng = state.get("collection", {}), state["rng"]
         self.reward = state.get("reward", 0.0)
         self.best_reward = state.get("best_reward", float("-inf"))
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Writes ``value``, whole or not at all."""
-    with atomic(path) as file:
-        file.write_text(json.dumps(value, indent=2) + "\n")
+def _clear(run: Path) -> None:
+    """Removes what an earlier run wrote to the folder: two runs' checkpoints and logs must not mix."""
+    for name in (NAME, PREVIOUS, BEST, "progress.csv"):
+        (run / name).unlink(missing_ok=True)
+    for name in ("tensorboard", "diverged"):
+        shutil.rmtree(run / name, ignore_errors=True)

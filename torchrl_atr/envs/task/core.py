@@ -178,6 +178,20 @@ class RidingTask:
         self.steps, self.fell = self.steps + 1, terminated
         return Outcome(state, reward, terms, terminated)
 
+    def end(self, rows: list[int], outcome: Outcome) -> None:
+        """Ends the episodes of ``rows``, in which no step can be scored: all that is left is r17.
+
+        Args:
+            rows: which robots.
+            outcome: of the step, changed in place.
+        """
+        cost = rewards.TERMINATION * (CONTROL_DT if self.readings.rewards_times_dt else 1.0)
+        for term in outcome.terms.values():
+            term[rows] = 0.0
+        outcome.terms["termination"][rows] = outcome.reward[rows] = cost
+        outcome.terminated[rows] = True
+        self.fell = outcome.terminated
+
     def observe(self, command: Tensor, state: RidingState | None = None, rows: Rows = slice(None)) -> dict[Any, Tensor]:
         """What ``rows`` observe.
 
