@@ -54,7 +54,7 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
                     torch.testing.assert_close(weights, collection.curriculum.weights)
         intrinsics = batch["privileged", "intrinsic"][:, 0]
         assert len(torch.unique(intrinsics, dim=0)) == 8
-        assert collection.num_diverged == 0
+        assert collection.num_diverged == (0 if collection.callable or not collection.remote else None)
     finally:
         collection.shutdown()
 
