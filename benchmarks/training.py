@@ -57,7 +57,7 @@ def matrix_products(loop: TrainingLoop, threads: int) -> Contender:
 
     Each layer as training sees it: forward, gradient of the input, gradient of the weights.
     """
-    networks, rows = loop.learner.networks, loop.learner.buffer.batch_size
+    networks, rows = loop.learner.networks, loop.learner.minibatch_size
     modules = [*networks.backbone.modules(), *networks.critic.modules()]
     shapes = [(layer.in_features, layer.out_features) for layer in modules if isinstance(layer, nn.Linear)]
     operands = [(torch.randn(rows, i), torch.randn(i, o), torch.randn(rows, o)) for i, o in shapes]

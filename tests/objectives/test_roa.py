@@ -91,6 +91,20 @@ def test_entry_points_agree(make_loss, make_batch, source):
         torch.testing.assert_close(parts[key], value, msg=key)
 
 
+@pytest.mark.parametrize("source", SOURCES)
+def test_an_entry_point_reads_no_more_than_it_says(networks, make_loss, make_batch, source):
+    loss, batch = make_loss(source), make_batch(source)
+    loss.value_estimator(batch)
+    if source == "privileged":  # does not record it
+        networks.intrinsic_estimator_module(batch)
+    batch["shifted_valid"] = torch.rand(5, 6) < 0.7
+    for method, keys in ((loss.policy_loss, loss.policy_in_keys), (loss.adaptation_loss, loss.adaptation_in_keys)):
+        whole, part = method(batch), method(batch.select(*keys, strict=False))
+        assert set(part.keys()) == set(whole.keys())
+        assert all(torch.equal(part[key], value) for key, value in whole.items())
+    assert "history" not in loss.policy_in_keys
+
+
 def fixed(value, key, source) -> TensorDictModule:
     """A network with one parameter whose output is constant."""
 

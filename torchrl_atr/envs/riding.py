@@ -168,8 +168,7 @@ class RidingEnv(EnvBase):
         rows = chosen.nonzero().squeeze(-1).numpy()
         if len(rows):
             command = self._command(tensordict)[chosen]
-            self.task.begin(rows, command)
-            fresh = self.task.observe(command, rows=rows)
+            fresh = self.task.observe(command, self.task.begin(rows, command), rows)
             for key, value in fresh.items():
                 self._emitted[key] = self._emitted[key].masked_scatter(chosen.unsqueeze(-1), value)
         return self._pack(self._emitted, terminated=torch.zeros(n, dtype=torch.bool), terms=None)

@@ -194,6 +194,21 @@ class ROAClipPPOLoss(ClipPPOLoss):
         self._in_keys = list({*(self._in_keys or ()), *keys, *ours})
 
     @property
+    def policy_in_keys(self) -> list[NestedKey]:
+        """What :meth:`policy_loss` reads where advantages and zhat are recorded; masks and value are optional."""
+        keys = self.tensor_keys
+        networks = (self.actor_network, self.critic_network, self.encoder_network)
+        recorded = [keys.action, keys.sample_log_prob, keys.advantage, keys.value_target, keys.value]
+        recorded += [keys.latent_estimate, *self._loss_mask_keys()]
+        return [*(key for network in networks for key in network.in_keys), *recorded]
+
+    @property
+    def adaptation_in_keys(self) -> list[NestedKey]:
+        """What :meth:`adaptation_loss` reads; masks are optional."""
+        inputs = [key for name in ADAPTATION_NETWORKS for key in getattr(self, name).in_keys]
+        return [*inputs, self.tensor_keys.extrinsic, *self._loss_mask_keys()]
+
+    @property
     def out_keys(self) -> list[NestedKey]:
         """The keys of ClipPPOLoss, the three regression terms and the two diagnostics."""
         if self._out_keys is None:

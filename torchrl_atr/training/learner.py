@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
-from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
+from torchrl.data import SamplerWithoutReplacement, TensorDictReplayBuffer, TensorStorage
 from torchrl.objectives.utils import KLAdaptiveLR
 from torchrl.objectives.value import GAE
 
@@ -73,12 +73,7 @@ class Learner:
         self.schedule = KLAdaptiveLR(self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate)
         self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa_coeff) if config.roa_ramp else None
         self.guard = StepGuard()
-        size = config.frames_per_batch
-        self.buffer = TensorDictReplayBuffer(
-            storage=LazyTensorStorage(size, device=config.device),
-            sampler=SamplerWithoutReplacement(),
-            batch_size=-(-size // config.minibatches),
-        )
+        self.minibatch_size = -(-config.frames_per_batch // config.minibatches)
 
     def anneal(self, progress: float) -> None:
         """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ.
@@ -116,11 +111,10 @@ class Learner:
         flat = batch.reshape(-1)
         if self.config.act_source == "privileged":
             self._record_latent_estimates(flat)
-        self.buffer.extend(flat)
-        policy = self._average(self._policy_steps())
-        adaptation = self._average(self._adaptation_steps())
+        sampler = SamplerWithoutReplacement()
+        policy = self._average(self._policy_steps(self._replay(flat, self.loss.policy_in_keys, sampler)))
+        adaptation = self._average(self._adaptation_steps(self._replay(flat, self.loss.adaptation_in_keys, sampler)))
         self.networks.update_normalizers(flat)
-        self.buffer.empty()
         rate, skipped = self.schedule.get_last_lr()[0], float(self.guard.skipped)
         return {**policy, **adaptation, "learning_rate": rate, "skipped_steps": skipped, "chatter": chatter}
 
@@ -129,14 +123,21 @@ class Learner:
         module = self.networks.intrinsic_estimator_module
         (key,) = module.out_keys
         with torch.no_grad():
-            parts = [module(part.select(*module.in_keys))[key] for part in flat.split(self.buffer.batch_size)]
+            parts = [module(part.select(*module.in_keys))[key] for part in flat.split(self.minibatch_size)]
         flat.set(key, torch.cat(parts))
 
-    def _policy_steps(self) -> Iterator[TensorDictBase]:
+    def _replay(
+        self, flat: TensorDictBase, keys: list[NestedKey], sampler: SamplerWithoutReplacement
+    ) -> TensorDictReplayBuffer:
+        """Minibatches of those entries: most of a frame is history, which the policy's epochs do not read."""
+        view = TensorStorage(flat.select(*keys, strict=False), device=self.config.device)
+        return TensorDictReplayBuffer(storage=view, sampler=sampler, batch_size=self.minibatch_size)
+
+    def _policy_steps(self, buffer: TensorDictReplayBuffer) -> Iterator[TensorDictBase]:
         fresh = True  # nothing has moved yet: a divergence of zero says nothing about the step size
         too_far = False  # from the policy that made the batch, which then has nothing more to say
         for _ in range(self.config.epochs):
-            for minibatch in self.buffer:
+            for minibatch in buffer:
                 if too_far:
                     continue
                 terms = self.loss.policy_loss(minibatch)
@@ -148,9 +149,9 @@ class Learner:
                     self._step(terms, "policy", "critic")
                 yield terms
 
-    def _adaptation_steps(self) -> Iterator[TensorDictBase]:
+    def _adaptation_steps(self, buffer: TensorDictReplayBuffer) -> Iterator[TensorDictBase]:
         for _ in range(self.config.adaptation_epochs):
-            for minibatch in self.buffer:
+            for minibatch in buffer:
                 terms = self.loss.adaptation_loss(minibatch)
                 self._step(terms, "estimators")
                 yield terms

@@ -96,7 +96,7 @@ class RidingTask:
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
         self.begin(np.arange(n))
 
-    def begin(self, rows: NDArray[np.int64], command: Tensor | None = None) -> None:
+    def begin(self, rows: NDArray[np.int64], command: Tensor | None = None) -> RidingState:
         """Starts episodes of ``rows`` with fresh intrinsics and initial states; leaves the others alone.
 
         A robot that is hard to keep up has short episodes: drawn anew each time, such robots would hardly be seen. With
@@ -105,6 +105,9 @@ class RidingTask:
         Args:
             rows: (n,) integers.
             command: (c_v, c_ω) that those episodes start with, (n, 2); read by moving starts.
+
+        Returns:
+            The state that they start in, for :meth:`observe`.
         """
         x_int = intrinsics.sample_intrinsics(len(rows), self.joints, self.randomization, self.rng)
         if self.retry > 0.0:
@@ -120,11 +123,11 @@ class RidingTask:
         # out of place: callers may hold what was handed out before
         self.x_int, self.previous_action = self.x_int.clone(), self.previous_action.clone()
         self.x_int[rows], self.previous_action[rows], self.steps[rows] = x_int, 0.0, 0
-        self._reader.forget(rows)
+        start = self._reader.read(rows, anew=True)
         # a moving start stands for a ride that began earlier, its odometry with it
-        start = self._reader.read(rows)
         self.odometry = self.odometry.clone()
         self.odometry[rows] = rotate_back(start.rotation, start.velocity)
+        return start
 
     def act(self, action: Tensor) -> None:
         """Opens a control step: pushes that are due, then the joint targets q0 + scale · action.

@@ -16,7 +16,6 @@ from torchrl_atr.envs.task.rotations import (
     euler_from_matrix,
     matrix_from_euler,
     matrix_from_quaternion,
-    rotate,
 )
 
 CONTROL_DT = TIMESTEP * DECIMATION
@@ -144,17 +143,18 @@ class StateReader:
         layout = self.engine.scene.layout
         yaw, pitch = qpos[:, int(layout.planar_qpos[2])], (qpos[:, self._tilt_qpos] @ self._attitude)[:, 0]
         pitch_rate, roll_rate = (qvel[:, self._tilt_dof] @ self._attitude).unbind(-1)
-        local = torch.stack([torch.cos(pitch) * roll_rate, pitch_rate, -torch.sin(pitch) * roll_rate], -1)
-        world = rotate(matrix_from_euler(torch.zeros_like(yaw), torch.zeros_like(yaw), yaw), local)
-        world[:, 2] += qvel[:, int(layout.planar_dof[2])]
-        return world
+        x, y, z = torch.cos(pitch) * roll_rate, pitch_rate, -torch.sin(pitch) * roll_rate
+        cos, sin = torch.cos(yaw), torch.sin(yaw)
+        return torch.stack([cos * x - sin * y, sin * x + cos * y, z + qvel[:, int(layout.planar_dof[2])]], -1)
 
-    def read(self, rows: Rows = slice(None)) -> RidingState:
-        """The state of ``rows`` now; accelerations are differences to their previous reading."""
+    def read(self, rows: Rows = slice(None), anew: bool = False) -> RidingState:
+        """The state of ``rows`` now; accelerations are differences to their previous reading, or zero ``anew``."""
         engine, layout = self.engine, self.engine.scene.layout
         qpos, qvel = self._simulation(rows)
         sensors = _float(engine.sensordata[rows])
         now = self._velocities(qpos, qvel)
+        if anew:
+            self._remember(rows, now)
         rates = {name: (value - getattr(self._previous, name)[rows]) / CONTROL_DT for name, value in vars(now).items()}
         self._remember(rows, now)
         root, planar = layout.root_qpos, int(layout.planar_qpos[0])
