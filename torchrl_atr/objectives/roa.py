@@ -199,7 +199,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
         keys = self.tensor_keys
         networks = (self.actor_network, self.critic_network, self.encoder_network)
         recorded = [keys.action, keys.sample_log_prob, keys.advantage, keys.value_target, keys.value]
-        recorded += [keys.latent_estimate, *self._loss_mask_keys()]
+        recorded += [keys.latent_estimate, *self._loss_mask_keys()] + [keys.previous_mean] * self._smooth
         return [*(key for network in networks for key in network.in_keys), *recorded]
 
     @property
