@@ -119,7 +119,7 @@ class Collection:
         """
         with self._workers():
             batch = next(self._batches)
-        return batch.flatten(0, 1) if batch.ndim == 3 else batch
+        return batch.contiguous().flatten(0, 1) if batch.ndim == 3 else batch  # stacked lazily by worker
 
     def publish(self) -> None:
         """Hands the learner's parameters to the workers.
