@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -21,6 +20,7 @@ from benchmarks.memory import peak_memory
 from benchmarks.peers import available
 from benchmarks.timing import Contender, Key, Rates, interleave, medians
 from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
+from torchrl_atr._files import say
 from torchrl_atr.training import TrainConfig
 from torchrl_atr.training.provenance import machine
 
@@ -87,8 +87,8 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
         makers: list[Maker] = [partial(loop.contender, plan.cpus) for loop in loops]
         makers += [partial(matrix_products, loops[0], plan.cpus), *_layers(plan)]
         makers += [partial(peer, plan.cpus) for peer in peers]
-        rates = interleave([_opened(make, stack) for make in makers], plan.rounds, plan.seconds, _say)
-        _say("profiling")
+        rates = interleave([_opened(make, stack) for make in makers], plan.rounds, plan.seconds, say)
+        say("profiling")
         flops, phases = flops_per_frame(loops[0]), profile(loops[0], plan.profiled)
     results |= _figures(plan, rates, flops)
     results["profile"] = {
@@ -110,7 +110,7 @@ def _origin() -> dict[str, Any]:
 def _memory(plan: Plan) -> list[dict[str, float]]:
     rows = []
     for size in plan.sizes:
-        _say(f"peak memory of {size} robots")
+        say(f"peak memory of {size} robots")
         rows.append(peak_memory(size, plan.steps))
     return rows
 
@@ -153,8 +153,3 @@ def _figures(plan: Plan, rates: Rates, flops: float) -> dict[str, Any]:
         "peers": summary.peers(median, Key("free", plan.num_envs, plan.cpus)),
         "scaling": summary.scaling(median),
     }
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(f"{line}\n")
-    sys.stdout.flush()

@@ -40,6 +40,7 @@ from torchrl_atr.training import (
     read_config,
 )
 from torchrl_atr.training.checkpoint import NAME as CHECKPOINT
+from torchrl_atr.training.provenance import cores
 
 PAIRS = tuple(f"{robot}:{transporter}" for robot in ROBOTS.names() for transporter in DESIGNS)
 COMPARISON = "comparison.json"
@@ -185,7 +186,7 @@ def table(records: dict[str, dict[str, Any]]) -> str:
     first = next(iter(records.values()))
     setup, command = first["comparison"], first["command"].split(" --pairs")[0]
     speed, yaw_rate = setup["command_box"]
-    machines = sorted({_machine(record["run"]["hardware"]) for record in records.values()})
+    machines = sorted({cores(record["run"]["hardware"]) for record in records.values()})
     beaten = sum(_beats(record) for record in records.values())
     lines = [
         "# Every robot on every transporter",
@@ -215,10 +216,6 @@ def _beats(record: dict[str, Any]) -> bool:
     ours, still = record["deployed"], record["zero_action"]
     survives = ours["survival"] > still["survival"] or ours["survival"] == 1.0
     return ours["mean_return"] > still["mean_return"] and survives
-
-
-def _machine(hardware: dict[str, Any]) -> str:
-    return f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)} ({hardware['processor']})"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -17,7 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrl_atr._files import atomic, write_json
+from benchmarks import results
+from torchrl_atr._files import say
 from torchrl_atr.training import CheckpointError, load_checkpoint
 from torchrl_atr.training.checkpoint import NAME
 from torchrl_atr.training.provenance import machine
@@ -87,12 +88,11 @@ def _wait_for_progress(process: subprocess.Popen[str], run: Path, frames: int) -
 
 def table(report: dict[str, Any]) -> str:
     """The report as Markdown."""
-    kills, hardware = report["kills"], report["hardware"]
-    cores = f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)}"
+    kills = report["kills"]
     lines = [
         "# Killed runs",
         "",
-        f"`{report['command']}`: {report['wall_seconds']:.0f} s on {cores} ({hardware['processor']}).",
+        results.origin(report),
         "",
         f"{len(kills)} kills (SIGKILL) of a run that saves after every iteration, in turns up to "
         f"{report['longest']:g} s after its first checkpoint and up to {report['start']:g} s after the start of the "
@@ -125,8 +125,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             delay = moments.uniform(0.0, arguments.start if from_start else arguments.longest)
             killed = kill_once(Path(folder) / "run", delay, from_start)
             kills.append({"delay": delay, "from_start": from_start, **killed})
-            sys.stdout.write(f"{len(kills)} of {arguments.kills}: {kills[-1]}\n")
-            sys.stdout.flush()
+            say(f"{len(kills)} of {arguments.kills}: {kills[-1]}")
             if kills[-1]["lost"] is not None:
                 break
     report = {
@@ -138,9 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "kills": kills,
         **machine(),
     }
-    write_json(arguments.output / "kills.json", report)
-    with atomic(arguments.output / "README.md") as file:
-        file.write_text(table(report))
+    results.write(arguments.output, "kills", report, table(report))
     return int(any(kill["lost"] is not None for kill in kills))
 
 

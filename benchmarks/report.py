@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from benchmarks.summary import LADDER, shares
-from torchrl_atr._files import atomic
+from torchrl_atr._files import atomic, write_json
 
 LABELS = {
     "bare": "`RidingEnv`, zero action",
@@ -25,8 +24,7 @@ LABELS = {
 
 def write(results: dict[str, Any], folder: Path) -> None:
     """Writes both files."""
-    with atomic(folder / "bench.json") as file:
-        file.write_text(json.dumps(results, indent=2) + "\n")
+    write_json(folder / "bench.json", results)
     with atomic(folder / "bench.md") as file:
         file.write_text(markdown(results))
 

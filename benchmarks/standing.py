@@ -16,7 +16,8 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
-from torchrl_atr._files import atomic, write_json
+from benchmarks import results
+from torchrl_atr._files import say
 from torchrl_atr.envs import ROBOTS, RidingEnv, get_readings
 from torchrl_atr.envs.models import DESIGNS
 from torchrl_atr.envs.task.randomization import intrinsic_slices
@@ -79,8 +80,6 @@ def cases() -> Iterator[dict[str, Any]]:
 
 def table(report: dict[str, Any]) -> str:
     """The report as Markdown."""
-    hardware = report["hardware"]
-    cores = f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)}"
     found = {
         (row["robot"], row["transporter"], row["scaled_springs"], row["centred"]): row["survival"]
         for row in report["survival"]
@@ -88,7 +87,7 @@ def table(report: dict[str, Any]) -> str:
     lines = [
         "# Standing without acting",
         "",
-        f"`{report['command']}`: {report['wall_seconds']:.0f} s on {cores} ({hardware['processor']}).",
+        results.origin(report),
         "",
         f"Share of {report['robots']} robots (seed {report['seed']}) that are still up after {report['seconds']:g} s "
         "of zero action, command zero, drive on, no pushes, intrinsics of Table II's training range: with the trunk's "
@@ -118,8 +117,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     started, rows = time.monotonic(), []
     for case in cases():
         rows.append({**case, "survival": survival(**case, **setup)})
-        sys.stdout.write(", ".join(f"{name} {value}" for name, value in rows[-1].items()) + "\n")
-        sys.stdout.flush()
+        say(", ".join(f"{name} {value}" for name, value in rows[-1].items()))
     report = {
         "command": "python -m benchmarks.standing" + "".join(f" --{name} {value:g}" for name, value in setup.items()),
         **setup,
@@ -127,9 +125,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "survival": rows,
         **machine(),
     }
-    write_json(arguments.output / "standing.json", report)
-    with atomic(arguments.output / "README.md") as file:
-        file.write_text(table(report))
+    results.write(arguments.output, "standing", report, table(report))
     return 0
 
 

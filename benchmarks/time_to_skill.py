@@ -15,10 +15,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from torchrl_atr._files import atomic, write_json
+from benchmarks import results
+from torchrl_atr._files import say
 from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics
 from torchrl_atr.training import DEPLOYED, TrainConfig, Trainer, make_config, make_env
-from torchrl_atr.training.provenance import machine
+from torchrl_atr.training.provenance import cores, machine
 
 BAR = {"survival": (0.97, 1.0), "settled_speed_error": (0.0, 0.30), "settled_yaw_error": (0.0, 0.25)}
 """Least and largest value of each figure: share, m/s, rad/s."""
@@ -77,7 +78,7 @@ def train_until(config: TrainConfig, folder: Path, every: float, robots_per_comm
             return False
         figures = evaluate(trainer, config, robots_per_command)
         tried.append({"minutes": metrics["minutes"], "frames": int(metrics["frames"]), **figures})
-        sys.stdout.write(f"seed {config.seed}: {tried[-1]}\n")
+        say(f"seed {config.seed}: {tried[-1]}")
         return meets(figures)
 
     if trainer.train(check) is not None:  # it was asked to stop
@@ -87,13 +88,12 @@ def train_until(config: TrainConfig, folder: Path, every: float, robots_per_comm
 
 def table(report: dict[str, Any]) -> str:
     """The report as Markdown."""
-    hardware, runs = report["hardware"], report["runs"]
-    cores = f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)}"
+    runs = report["runs"]
     skilled = [run[-1]["minutes"] for run in runs if meets(run[-1])]
     lines = [
         "# Time to skill",
         "",
-        f"`{report['command']}`: {report['wall_seconds'] / 60:.0f} minutes on {cores} ({hardware['processor']}).",
+        f"`{report['command']}`: {report['wall_seconds'] / 60:.0f} minutes on {cores(report['hardware'])}.",
         "",
         "The bar, deployed, over |c_v| <= 2 m/s and |c_ω| <= 1 rad/s: at least 97% up after 10 s, settled errors of at "
         f"most 0.30 m/s and 0.25 rad/s. {len(skilled)} of {len(runs)} seeds met it.",
@@ -132,9 +132,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "runs": runs,
         **machine(),
     }
-    write_json(arguments.output / "time_to_skill.json", report)
-    with atomic(arguments.output / "README.md") as file:
-        file.write_text(table(report))
+    results.write(arguments.output, "time_to_skill", report, table(report))
     return 0
 
 

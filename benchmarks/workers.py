@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from torchrl_atr._files import atomic, write_json
+from benchmarks import results
+from torchrl_atr._files import say
 from torchrl_atr.training import Trainer, make_config
 from torchrl_atr.training.provenance import machine
 
@@ -43,14 +44,13 @@ def final_return(settings: dict[str, Any], folder: Path) -> float:
 
 def table(report: dict[str, Any]) -> str:
     """The report as Markdown."""
-    hardware, returns = report["hardware"], report["returns"]
+    returns = report["returns"]
     low, high = min(returns["one process"]), max(returns["one process"])
     inside = sum(low <= value <= high for value in returns["two workers"])
-    cores = f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)}"
     lines = [
         "# Two workers and one process",
         "",
-        f"`{report['command']}`: {report['wall_seconds']:.0f} s on {cores} ({hardware['processor']}).",
+        results.origin(report),
         "",
         f"Mean episode reward over the last tenth of {report['frames']:,} robot steps, A1 on the single board. "
         f"{inside} of the {len(returns['two workers'])} runs with two workers lie between the least and the largest of "
@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 final_return({**common, "seed": seed}, Path(folder) / f"{settings['collector']}{seed}")
                 for seed in range(arguments.seeds)
             ]
-            sys.stdout.write(f"{kind}: {returns[kind]}\n")
+            say(f"{kind}: {returns[kind]}")
     report = {
         "command": f"python -m benchmarks.workers --frames {arguments.frames} --seeds {arguments.seeds} "
         f"--num-envs {arguments.num_envs}",
@@ -88,9 +88,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "wall_seconds": round(time.monotonic() - started, 1),
         **machine(),
     }
-    write_json(arguments.output / "workers.json", report)
-    with atomic(arguments.output / "README.md") as file:
-        file.write_text(table(report))
+    results.write(arguments.output, "workers", report, table(report))
     return 0
 
 

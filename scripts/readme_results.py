@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from torchrl_atr.training.provenance import cores
+
 ROOT = Path(__file__).parents[1]
 BEGIN, END = "<!-- results:begin -->", "<!-- results:end -->"
 ROWS = (
@@ -25,12 +27,10 @@ def section(folder: Path) -> str:
     for label, key, style in ROWS:
         values = ("-" if v is None else style.format(v) for v in (metrics[key], still[key]))
         lines.append(f"| {label} | {' | '.join(values)} |")
-    hardware = run["hardware"]
-    cores = f"{hardware['cpus']} core" + "s" * (hardware["cpus"] > 1)
     lines += [
         "",
-        f"`{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on {cores} "
-        f"({hardware['processor']}), then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh "
+        f"`{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on "
+        f"{cores(run['hardware'])}, then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh "
         f"intrinsics of the training range, proprioception only. Everything is in [{path}]({path}).",
     ]
     return "\n".join(lines)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 from typing import Any
 
 from torchrl_atr._errors import UserError
-from torchrl_atr._files import atomic, make_folder
+from torchrl_atr._files import atomic, make_folder, say
 from torchrl_atr.cli.parser import DEFAULT_RUN, PLACES, RESUMABLE, SETTINGS, option
 from torchrl_atr.listings import LISTINGS
 
@@ -97,7 +96,9 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
 
 def _checkpoint(arguments: argparse.Namespace) -> str | None:
-    return "best.pt" if arguments.checkpoint == "best" else None
+    from torchrl_atr.training.checkpoint import BEST
+
+    return BEST if arguments.checkpoint == "best" else None
 
 
 def _deck(arguments: argparse.Namespace) -> dict[str, str]:
@@ -191,11 +192,7 @@ def bench(arguments: argparse.Namespace) -> None:
 
 def show_list(arguments: argparse.Namespace) -> None:
     """``torchrl-atr list``."""
-    try:
-        sys.stdout.writelines(f"{line}\n" for line in LISTINGS[arguments.what]())
-        sys.stdout.flush()
-    except BrokenPipeError:  # `| head` has read enough; nor may the interpreter's own flush complain
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    say("\n".join(LISTINGS[arguments.what]()))
 
 
 COMMANDS: dict[str, Any] = {

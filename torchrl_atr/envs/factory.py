@@ -11,8 +11,7 @@ from torchrl_atr.envs.models import RobotSpec, TransporterSpec
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.riding import PhysicsEngine, RidingEnv
 from torchrl_atr.envs.task.randomization import Randomization
-from torchrl_atr.envs.task.rewards import MAX_TRACKING, TERMINATION
-from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.task.rewards import MAX_TRACKING, TERMINATION, reward_scale
 from torchrl_atr.envs.transforms import CommandGrid, riding_transforms
 
 
@@ -51,7 +50,7 @@ def make_riding_env(
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         retry: share of the falls after which the same robot tries again with its intrinsics (for training).
         seed: of env and curriculum alike, since ``env.set_seed`` does not reach transforms.
-        dump_dir: where the last second of a simulation that failed is written; None for nowhere.
+        dump_dir: where the last half second of a simulation that failed is written; None for nowhere.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
         window: control steps that a command lasts (5 s at 50 Hz).
@@ -81,16 +80,16 @@ def make_riding_env(
         seed=seed,
         dump_dir=dump_dir,
     )
-    dt = CONTROL_DT if env.readings.rewards_times_dt else 1.0
+    scale = reward_scale(env.readings)
     transforms = riding_transforms(
-        tuple(dt * value for value in MAX_TRACKING.values()),
+        tuple(scale * value for value in MAX_TRACKING.values()),
         history_length=history_length,
         include_current=env.readings.current_in_history,
         max_steps=max_steps,
         window=window,
         grid=grid,
         runaway_margin=runaway_margin,
-        runaway_penalty=dt * TERMINATION,
+        runaway_penalty=scale * TERMINATION,
         rest_key="speeds",
         seed=seed,
         **curriculum,

@@ -49,8 +49,8 @@ class RidingEnv(EnvBase):
         retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again (for
             training).
         seed: of intrinsics, initial states and pushes.
-        dump_dir: where the last second of a simulation that failed is written, for ``torchrl-atr replay``; None for
-            nowhere.
+        dump_dir: where the last half second of a simulation that failed is written, for ``torchrl-atr replay``; None
+            for nowhere.
 
     A simulation that diverges, or an observation or reward that is not finite, ends that robot's episode as terminated,
     with zeros where there was no number, and is counted and logged; the others do not notice.

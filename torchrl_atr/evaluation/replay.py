@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
@@ -116,6 +115,6 @@ def _steps(env: RidingEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:
             yaw_rate=float(engine.speeds[0, 1]),
             tilt=float(np.abs(tilt).max()),
             largest_velocity=float(np.abs(engine.qvel[0]).max()),
-            largest_action=float(torch.as_tensor(action).abs().max()),
+            largest_action=float(action.abs().max()),
             diverged=bool(engine.diverged[0]) or (last and "not finite" in dump["reason"]),
         )

@@ -45,6 +45,16 @@ def machine(device: str = "cpu") -> dict[str, Any]:
     }
 
 
+def cores(hardware: dict[str, Any]) -> str:
+    """How a measurement's machine is written beside its figures.
+
+    Example:
+        >>> cores({"cpus": 2, "processor": "Z80", "device": "cpu"})
+        '2 cores (Z80)'
+    """
+    return f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)} ({hardware['processor']})"
+
+
 def command_line(config: TrainConfig) -> str:
     """The command that starts such a run: what differs from the defaults, and the seed.
 

@@ -13,8 +13,7 @@ import torch
 from tensordict import TensorDictBase
 
 from torchrl_atr._files import say, sweep, write_json
-from torchrl_atr.envs.task.rewards import MAX_TRACKING
-from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.task.rewards import MAX_TRACKING, reward_scale
 from torchrl_atr.modules import correlate, get_estimator
 from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, save_checkpoint
@@ -53,7 +52,7 @@ class Trainer:
         self._make_env = partial(make_env, config, dump_dir=run.resolve() / "diverged")
         self.env = self._make_env()
         self.curriculum = self.env.transform[0]
-        scale = CONTROL_DT if self.env.base_env.readings.rewards_times_dt else 1.0
+        scale = reward_scale(self.env.base_env.readings)
         self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
         networks = make_run_networks(config, self.env)
         with torch.no_grad():
@@ -170,8 +169,9 @@ class Trainer:
         metrics["command_area"] = self.curriculum.command_area[0]
         metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
         metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
-        if self.collection.num_diverged is not None:
-            metrics["diverged"] = self.collection.num_diverged
+        diverged = self.collection.num_diverged  # asks the workers
+        if diverged is not None:
+            metrics["diverged"] = diverged
         return metrics
 
     def save(self) -> None:

@@ -173,7 +173,7 @@ class RidingTask:
         )
         reward, terms = rewards.compute_rewards(
             context,
-            scale=CONTROL_DT if self.readings.rewards_times_dt else 1.0,
+            scale=rewards.reward_scale(self.readings),
             clip_to_positive=self.readings.positive_rewards,
         )
         self.previous_action = self._action
@@ -188,7 +188,7 @@ class RidingTask:
             rows: which robots.
             outcome: of the step, changed in place.
         """
-        cost = rewards.TERMINATION * (CONTROL_DT if self.readings.rewards_times_dt else 1.0)
+        cost = rewards.TERMINATION * rewards.reward_scale(self.readings)
         for term in outcome.terms.values():
             term[rows] = 0.0
         outcome.terms["termination"][rows] = outcome.reward[rows] = cost

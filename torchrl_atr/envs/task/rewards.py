@@ -15,7 +15,7 @@ from torch import Tensor
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task.observations import relative_yaw
-from torchrl_atr.envs.task.state import CONTACT_THRESHOLD, GRAVITY, RidingState
+from torchrl_atr.envs.task.state import CONTACT_THRESHOLD, CONTROL_DT, GRAVITY, RidingState
 
 KERNEL_WIDTH = 0.5
 """Width of the tracking kernels r0 and r1, m/s and rad/s."""
@@ -239,6 +239,11 @@ def zero_moment_point(state: RidingState) -> Tensor:
     return state.com[:, :2] - (height / vertical).unsqueeze(-1) * state.acceleration[:, :2]
 
 
+def reward_scale(readings: Readings) -> float:
+    """What every reward is multiplied by: the control period, or 1 (A16)."""
+    return CONTROL_DT if readings.rewards_times_dt else 1.0
+
+
 def compute_rewards(
     context: RewardContext, *, scale: float, clip_to_positive: bool
 ) -> tuple[Tensor, dict[str, Tensor]]:
@@ -246,7 +251,7 @@ def compute_rewards(
 
     Args:
         context: what happened.
-        scale: the control period where rewards are multiplied by it (A16), else 1.
+        scale: from :func:`reward_scale`.
         clip_to_positive: reading A17: what is below zero is cut, then termination is added.
 
     Returns:

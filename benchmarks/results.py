@@ -1,0 +1,29 @@
+"""How a measurement is kept: its figures as JSON, and a README that shows them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from torchrl_atr._files import atomic, write_json
+from torchrl_atr.training.provenance import cores
+
+
+def write(folder: Path, name: str, report: dict[str, Any], readme: str) -> None:
+    """Writes ``<name>.json`` and ``README.md``, each whole or not at all."""
+    write_json(folder / f"{name}.json", report)
+    with atomic(folder / "README.md") as file:
+        file.write_text(readme)
+
+
+def origin(report: dict[str, Any]) -> str:
+    """The sentence that says where the figures come from.
+
+    Args:
+        report: with ``command``, ``wall_seconds`` and ``hardware``.
+
+    Example:
+        >>> origin({"command": "count", "wall_seconds": 3.0, "hardware": {"cpus": 1, "processor": "Z80"}})
+        '`count`: 3 s on 1 core (Z80).'
+    """
+    return f"`{report['command']}`: {report['wall_seconds']:.0f} s on {cores(report['hardware'])}."
