@@ -59,7 +59,7 @@ class Readings:
         positive_rewards: clip the summed reward (termination excepted) at zero.
         current_in_history: the estimators' history ends with o_t instead of o_{t-1}.
         gravity_in_acceleration: v̇_B is the specific force of an IMU, not the kinematic acceleration.
-        planar_smoothness: r8's ‖α_P‖ is the driven yaw acceleration, without roll's and pitch's.
+        driven_smoothness: r8 takes the accelerations that the drive gives, without centripetal, roll's and pitch's.
         contacting_polygon: r4's and r5's polygon is of the feet in contact; with fewer than three all is outside.
         tilt_limit: body roll or pitch (rad) beyond which the episode ends.
 
@@ -159,11 +159,11 @@ class Readings:
         "r4's and r5's polygon is 'defined by foot positions': of all four feet, or of those that bear.\n"
         "All four, as printed; a lifted foot already costs r6.",
     )
-    planar_smoothness: bool = _reading(
+    driven_smoothness: bool = _reading(
         True,
         "A32",
-        "r8 wants abrupt accelerations 'slightly' penalised; with the deck's roll and pitch in ‖α_P‖ it is -9 a\n"
-        "second at an action noise of 0.2, against +14 for tracking, and robots learn to end their episodes.",
+        "r8 wants abrupt accelerations 'slightly' penalised. As printed it also charges a steady turn, v ω, and the\n"
+        "deck's wobble: -9 a second at an action noise of 0.2, against +16 for tracking. By default the drive's own.",
         literal=False,
     )
     tilt_limit: float = _reading(

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import mujoco
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
@@ -22,6 +22,7 @@ from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task import rewards
 from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
 from torchrl_atr.envs.task.guard import not_finite
+from torchrl_atr.envs.task.symmetry import reflections
 
 _LOGGED = 20
 """Failures that are logged and dumped: the first tell the most, and a disk is finite."""
@@ -136,6 +137,11 @@ class RidingEnv(EnvBase):
     def num_diverged(self) -> int:
         """Robots whose simulation, observations or rewards have failed so far; each ended its own episode."""
         return self.task.num_diverged
+
+    @property
+    def reflections(self) -> dict[NestedKey, Tensor]:
+        """By key the matrix R, (D, D), that makes an entry's mirror image R x; the action's too."""
+        return reflections(self.scene, self.readings)
 
     def _make_specs(self) -> None:
         n = self.batch_size[0]

@@ -12,14 +12,16 @@ from torchrl_atr.modules.encoder import IntrinsicEncoder
 from torchrl_atr.modules.estimators import (
     CNNGRUEstimator,
     MLPEstimator,
+    NormalizedEstimator,
     available_estimators,
     get_estimator,
     register_estimator,
 )
 from torchrl_atr.modules.exploration import CorrelatedGaussian, SynergyNormal, correlate, leg_synergies
 from torchrl_atr.modules.keys import NetworkKeys
-from torchrl_atr.modules.networks import NormalizedEstimator, RidingNetworks, make_networks
+from torchrl_atr.modules.networks import RidingNetworks, make_networks
 from torchrl_atr.modules.normalization import RunningNormalizer
+from torchrl_atr.modules.symmetry import SymmetricLinear, symmetric_mlp
 
 __all__ = [
     "SOURCES",
@@ -37,6 +39,7 @@ __all__ = [
     "RunningNormalizer",
     "Source",
     "StateIndependentStd",
+    "SymmetricLinear",
     "SynergyNormal",
     "available_estimators",
     "check_estimator",
@@ -46,4 +49,5 @@ __all__ = [
     "make_actor",
     "make_networks",
     "register_estimator",
+    "symmetric_mlp",
 ]

@@ -9,11 +9,12 @@ import torch
 from tensordict import NestedKey
 from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequential
 from torch import Tensor, nn
-from torchrl.modules import MLP, ProbabilisticActor
+from torchrl.modules import ProbabilisticActor
 
 from torchrl_atr.modules.exploration import SynergyNormal, check_basis
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
+from torchrl_atr.modules.symmetry import check_reflection, halves_swapped, join_reflections, make_mlp
 
 
 class StateIndependentStd(nn.Module):
@@ -85,9 +86,13 @@ class ActorBackbone(nn.Module):
             normalised observation x, times :data:`PRODUCT_SCALE`. A board turns by the product of two tilts, so
             the lean that answers a yaw command changes sign with the speed command: an exclusive-or, of which a
             gradient at first sees nothing.
+        reflection (Tensor, optional): of the action, (A, A). The mean action of a mirrored robot is then the mirrored
+            mean action; both normalisers need a reflection, and the latent's is a swap of its halves, as
+            :class:`~torchrl_atr.modules.IntrinsicEncoder` makes it.
 
     Raises:
-        ValueError: for a product of entries that the observation does not have.
+        ValueError: for a product of entries that the observation does not have, and for a reflection that is none,
+            or that does not map each column of the noise basis and each product to itself or its negative.
 
     Examples:
         >>> import torch
@@ -108,6 +113,7 @@ class ActorBackbone(nn.Module):
         min_std: float = 0.05,
         noise_basis: Tensor | None = None,
         products: Sequence[tuple[int, int]] = (),
+        reflection: Tensor | None = None,
     ) -> None:
         super().__init__()
         size = observation_norm.shape.numel()
@@ -124,8 +130,18 @@ class ActorBackbone(nn.Module):
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
         in_features = size + len(products) + latent_features + extrinsic_norm.shape.numel()
-        self.net = MLP(in_features, action_features, num_cells=list(cells), activation_class=nn.ELU)
+        reflections = None
+        if reflection is not None:
+            along_basis = basis.T @ check_reflection(reflection, action_features, "the action's reflection") @ basis
+            reflections = self._input_reflection(latent_features), along_basis.round(decimals=4)
+        self.net = make_mlp(in_features, action_features, cells, reflections)
         self.std = exploration
+
+    def _input_reflection(self, latent_features: int) -> Tensor:
+        observation = join_reflections(self.observation_norm.reflection)
+        signs = observation.diagonal()
+        products = torch.diag(signs[self._gates] * signs[self._gated])
+        return join_reflections(observation, products, halves_swapped(latent_features), self.extrinsic_norm.reflection)
 
     def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor) -> tuple[Tensor, Tensor]:
         """Return ``loc`` and ``scale``, each (*B, A), from (*B, O), (*B, L) and (*B, E) (SI units).

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
-from torchrl.modules import MLP
 
 from torchrl_atr.modules.normalization import RunningNormalizer
+from torchrl_atr.modules.symmetry import join_reflections, make_mlp
 
 
 class AsymmetricCritic(nn.Module):
@@ -25,6 +25,8 @@ class AsymmetricCritic(nn.Module):
         outlook_norm (RunningNormalizer, optional): of a fourth input; without it there is none.
         scale (float): multiplies the output, so that a fresh network need not grow to the size of returns
             of some tens. Defaults to 10.
+        intrinsic_reflection (Tensor, optional): of the intrinsic parameters, (I, I); where the normalisers have
+            reflections too, a state and its mirror image have the same value.
 
     Examples:
         >>> import torch
@@ -41,15 +43,21 @@ class AsymmetricCritic(nn.Module):
         cells: Sequence[int] = (512, 256, 128),
         outlook_norm: RunningNormalizer | None = None,
         scale: float = 10.0,
+        intrinsic_reflection: Tensor | None = None,
     ) -> None:
         super().__init__()
         self.scale = float(scale)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
         self.outlook_norm = outlook_norm
-        norms = [norm for norm in (observation_norm, extrinsic_norm, outlook_norm) if norm is not None]
-        in_features = intrinsic_features + sum(norm.shape.numel() for norm in norms)
-        self.net = MLP(in_features, 1, num_cells=list(cells), activation_class=nn.ELU)
+        norms = [norm for norm in (extrinsic_norm, outlook_norm) if norm is not None]
+        in_features = intrinsic_features + sum(norm.shape.numel() for norm in (observation_norm, *norms))
+        reflections = None
+        if observation_norm.reflection is not None:
+            privileged = [intrinsic_reflection] if intrinsic_features else []
+            parts = [observation_norm.reflection, *privileged, *(norm.reflection for norm in norms)]
+            reflections = join_reflections(*parts), torch.eye(1)
+        self.net = make_mlp(in_features, 1, cells, reflections)
 
     def forward(self, observation: Tensor, *privileged: Tensor) -> Tensor:
         """Return the value, (*B, 1), from (*B, O) and, if built for them, (*B, I), (*B, E), (*B, K) (SI units)."""

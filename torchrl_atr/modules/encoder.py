@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from torch import Tensor, nn
-from torchrl.modules import MLP
+
+from torchrl_atr.modules.symmetry import halves_swapped, make_mlp
 
 
 class IntrinsicEncoder(nn.Module):
@@ -18,6 +19,8 @@ class IntrinsicEncoder(nn.Module):
         in_features (int): size of ``("privileged", "intrinsic")``.
         out_features (int): size of the latent. Defaults to 16.
         hidden (sequence of int): hidden widths. Defaults to ``(128, 64)``.
+        reflection (Tensor, optional): of the input, (in_features, in_features): the latent of the robot's mirror image
+            is then the latent with its halves swapped.
 
     Examples:
         >>> import torch
@@ -25,9 +28,16 @@ class IntrinsicEncoder(nn.Module):
         torch.Size([2, 16])
     """
 
-    def __init__(self, in_features: int, out_features: int = 16, hidden: Sequence[int] = (128, 64)) -> None:
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int = 16,
+        hidden: Sequence[int] = (128, 64),
+        reflection: Tensor | None = None,
+    ) -> None:
         super().__init__()
-        self.net = MLP(in_features, out_features, num_cells=list(hidden), activation_class=nn.ELU)
+        reflections = None if reflection is None else (reflection, halves_swapped(out_features))
+        self.net = make_mlp(in_features, out_features, hidden, reflections)
 
     def forward(self, intrinsic: Tensor) -> Tensor:
         """Map (*B, in_features) to (*B, out_features)."""

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from torchrl.modules import MLP
 
 from torchrl_atr._registry import Registry
+from torchrl_atr.modules.normalization import RunningNormalizer
 
 EstimatorFactory = Callable[..., nn.Module]
 _ESTIMATORS: Registry[EstimatorFactory] = Registry(
@@ -174,3 +175,44 @@ class MLPEstimator(nn.Module):
         """Map (*B, H, D) to (*B, out_features)."""
         _check_history(history, self.history_shape)
         return self.net(torch.flatten(history, -2))
+
+
+class NormalizedEstimator(nn.Module):
+    """An estimator between normalisers: raw history in, estimate in the units of its target out.
+
+    Args:
+        net (nn.Module): maps (*B, H, D) to (*B, out_features), both normalised; (*B, H, D + S) with a side input.
+        input_norm (RunningNormalizer): of one observation, (D,); applied to every step of the history.
+        output_norm (RunningNormalizer, optional): of the target; its inverse is applied to the output.
+            Without it the output is returned as it is.
+        side_norm (RunningNormalizer, optional): of a side input, (S,), that is appended to every step of the
+            history, so that any estimator of histories can read it.
+
+    Examples:
+        >>> import torch
+        >>> estimator = NormalizedEstimator(get_estimator("mlp")((4, 5), 3), RunningNormalizer(5))
+        >>> estimator(torch.zeros(2, 4, 5)).shape
+        torch.Size([2, 3])
+    """
+
+    def __init__(
+        self,
+        net: nn.Module,
+        input_norm: RunningNormalizer,
+        output_norm: RunningNormalizer | None = None,
+        side_norm: RunningNormalizer | None = None,
+    ) -> None:
+        super().__init__()
+        self.net = net
+        self.input_norm = input_norm
+        self.output_norm = output_norm
+        self.side_norm = side_norm
+
+    def forward(self, history: Tensor, *side: Tensor) -> Tensor:
+        """Map a raw history (*B, H, D), and a side input (*B, S) if any, to the estimate (*B, out_features)."""
+        x = self.input_norm(history)
+        if self.side_norm is not None:
+            rows = [self.side_norm(value).unsqueeze(-2).expand(*x.shape[:-1], -1) for value in side]
+            x = torch.cat([x, *rows], -1)
+        out = self.net(x)
+        return out if self.output_norm is None else self.output_norm.inverse(out)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from itertools import chain
 from typing import Any
 
-import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
@@ -18,50 +18,9 @@ from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, c
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.encoder import IntrinsicEncoder
-from torchrl_atr.modules.estimators import get_estimator
+from torchrl_atr.modules.estimators import NormalizedEstimator, get_estimator
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
-
-
-class NormalizedEstimator(nn.Module):
-    """An estimator between normalisers: raw history in, estimate in the units of its target out.
-
-    Args:
-        net (nn.Module): maps (*B, H, D) to (*B, out_features), both normalised; (*B, H, D + S) with a side input.
-        input_norm (RunningNormalizer): of one observation, (D,); applied to every step of the history.
-        output_norm (RunningNormalizer, optional): of the target; its inverse is applied to the output.
-            Without it the output is returned as it is.
-        side_norm (RunningNormalizer, optional): of a side input, (S,), that is appended to every step of the
-            history, so that any estimator of histories can read it.
-
-    Examples:
-        >>> import torch
-        >>> estimator = NormalizedEstimator(get_estimator("mlp")((4, 5), 3), RunningNormalizer(5))
-        >>> estimator(torch.zeros(2, 4, 5)).shape
-        torch.Size([2, 3])
-    """
-
-    def __init__(
-        self,
-        net: nn.Module,
-        input_norm: RunningNormalizer,
-        output_norm: RunningNormalizer | None = None,
-        side_norm: RunningNormalizer | None = None,
-    ) -> None:
-        super().__init__()
-        self.net = net
-        self.input_norm = input_norm
-        self.output_norm = output_norm
-        self.side_norm = side_norm
-
-    def forward(self, history: Tensor, *side: Tensor) -> Tensor:
-        """Map a raw history (*B, H, D), and a side input (*B, S) if any, to the estimate (*B, out_features)."""
-        x = self.input_norm(history)
-        if self.side_norm is not None:
-            rows = [self.side_norm(value).unsqueeze(-2).expand(*x.shape[:-1], -1) for value in side]
-            x = torch.cat([x, *rows], -1)
-        out = self.net(x)
-        return out if self.output_norm is None else self.output_norm.inverse(out)
 
 
 class RidingNetworks(nn.Module):
@@ -223,6 +182,7 @@ def make_networks(
     min_std: float = 0.05,
     noise_basis: Tensor | None = None,
     products: Sequence[tuple[int, int]] = (),
+    reflections: Mapping[NestedKey, Tensor] | None = None,
     keys: NetworkKeys | None = None,
 ) -> RidingNetworks:
     """Build the networks of Table I for an env; every size is read from its specs.
@@ -242,14 +202,18 @@ def make_networks(
         min_std (float): its floor.
         noise_basis (Tensor, optional): see :class:`~torchrl_atr.modules.ActorBackbone`.
         products (sequence of pairs of int): see :class:`~torchrl_atr.modules.ActorBackbone`.
+        reflections (mapping of NestedKey to Tensor, optional): how each entry's mirror image is made, (D, D) for the
+            observation, the privileged entries, the odometry and the action, such as
+            :attr:`~torchrl_atr.envs.RidingEnv.reflections`. Encoder, actor and critic are then symmetric by
+            construction: the mirrored robot acts mirrored. The estimators are not, so that any can be registered.
         keys (NetworkKeys, optional): names of the entries, if the env has its own.
 
     Returns:
         RidingNetworks
 
     Raises:
-        KeyError: if a spec lacks an entry. ValueError: if the history does not match the observation, or the
-            estimator is unknown.
+        KeyError: if a spec or the reflections lack an entry. ValueError: if the history does not match the
+            observation, the estimator is unknown, or a reflection is none.
 
     Examples:
         >>> from torchrl.data import Composite, Unbounded
@@ -274,13 +238,20 @@ def make_networks(
             f"{history_shape}. The history stacks past observations, oldest first."
         )
     factory, options = get_estimator(estimator), dict(estimator_kwargs or {})
-    obs_norm, ext_norm = RunningNormalizer(obs), RunningNormalizer(extrinsic)
-    odometry_norm, outlook_norm = (_optional_norm(observation_spec, key) for key in (keys.odometry, keys.outlook))
+    mirror = partial(_reflection, reflections)
+    obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
+    ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
+    odometry_norm, outlook_norm = (
+        RunningNormalizer(*_shape(observation_spec, key, 1), reflection=mirror(key))
+        if key is not None and key in observation_spec.keys(True, True)
+        else None
+        for key in (keys.odometry, keys.outlook)
+    )
     side = 0 if odometry_norm is None else odometry_norm.shape.numel()
     return RidingNetworks(
         obs_norm=obs_norm,
         ext_norm=ext_norm,
-        encoder=IntrinsicEncoder(intrinsic, latent_features),
+        encoder=IntrinsicEncoder(intrinsic, latent_features, reflection=mirror(keys.intrinsic)),
         intrinsic_estimator=NormalizedEstimator(
             factory(history_shape=history_shape, out_features=latent_features, **options), obs_norm
         ),
@@ -291,20 +262,33 @@ def make_networks(
             odometry_norm,
         ),
         backbone=ActorBackbone(
-            obs_norm, ext_norm, latent_features, actions, actor_cells, init_std, min_std, noise_basis, products
+            obs_norm,
+            ext_norm,
+            latent_features,
+            actions,
+            actor_cells,
+            init_std,
+            min_std,
+            noise_basis,
+            products,
+            mirror(keys.action),
         ),
-        critic=AsymmetricCritic(obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm)
+        critic=AsymmetricCritic(
+            obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm, intrinsic_reflection=mirror(keys.intrinsic)
+        )
         if privileged_critic
         else AsymmetricCritic(obs_norm, cells=critic_cells),
         keys=keys,
     )
 
 
-def _optional_norm(spec: Composite, key: NestedKey | None) -> RunningNormalizer | None:
-    """A normaliser for an entry that an env may have."""
-    if key is None or key not in spec.keys(True, True):
+def _reflection(reflections: Mapping[NestedKey, Tensor] | None, key: NestedKey) -> Tensor | None:
+    """The reflection of an entry, if there are any."""
+    if reflections is None:
         return None
-    return RunningNormalizer(*_shape(spec, key, 1))
+    if key not in reflections:
+        raise KeyError(f"reflections lack {key!r}; they have {list(reflections)}, and symmetric networks need it too")
+    return reflections[key]
 
 
 def _shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from torchrl_atr.modules.symmetry import check_reflection
+
 
 class RunningNormalizer(nn.Module):
     """Normalise the trailing dimensions by running statistics that change only in :meth:`update`.
@@ -18,11 +20,14 @@ class RunningNormalizer(nn.Module):
         clip (float): normalised values are clipped to ``[-clip, clip]``. Defaults to 10.
         eps (float): added to the variance, so that a constant component does not divide by zero.
             Defaults to 1e-5.
+        reflection (Tensor, optional): R, (D, D), of a sample of D components: the statistics are then those of the
+            samples and of their mirror images, so that normalising commutes with R.
 
     Attributes:
         mean (Tensor): running mean, ``shape``, default float dtype; zeros before the first update.
         var (Tensor): running (population) variance, ``shape``; ones before the first update.
         count (Tensor): number of samples seen, a float64 scalar.
+        reflection (Tensor or None): as given.
 
     Raises:
         ValueError: if ``clip`` or ``eps`` is not positive, or a tensor does not end with ``shape``.
@@ -40,8 +45,15 @@ class RunningNormalizer(nn.Module):
     mean: Tensor
     var: Tensor
     count: Tensor
+    reflection: Tensor | None
 
-    def __init__(self, shape: int | tuple[int, ...], clip: float = 10.0, eps: float = 1e-5) -> None:
+    def __init__(
+        self,
+        shape: int | tuple[int, ...],
+        clip: float = 10.0,
+        eps: float = 1e-5,
+        reflection: Tensor | None = None,
+    ) -> None:
         super().__init__()
         if clip <= 0 or eps <= 0:
             raise ValueError(f"clip and eps must be positive, got clip={clip}, eps={eps}.")
@@ -51,6 +63,8 @@ class RunningNormalizer(nn.Module):
         self.register_buffer("mean", torch.zeros(self.shape))
         self.register_buffer("var", torch.ones(self.shape))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        matrix = None if reflection is None else check_reflection(reflection, self.shape.numel())
+        self.register_buffer("reflection", matrix, persistent=False)
 
     @property
     def std(self) -> Tensor:
@@ -81,6 +95,10 @@ class RunningNormalizer(nn.Module):
             return
         mean, var = self.mean.to(torch.float64), self.var.to(torch.float64)
         batch_var, batch_mean = torch.var_mean(rows, dim=0, correction=0)
+        if self.reflection is not None:
+            matrix = self.reflection.to(torch.float64)
+            spread = (batch_mean - matrix @ batch_mean) / 2
+            batch_mean, batch_var = batch_mean - spread, (batch_var + matrix.abs() @ batch_var) / 2 + spread.square()
         total = self.count + rows.shape[0]
         weight = rows.shape[0] / total
         delta = batch_mean.reshape(self.shape) - mean

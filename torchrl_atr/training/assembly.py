@@ -97,6 +97,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         min_std=config.min_std,
         noise_basis=basis,
         products=[(size - 2, size - 1)] if config.steering_cue else [],
+        reflections=env.base_env.reflections if config.symmetric else None,
         keys=NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None),
     )
 

@@ -94,7 +94,7 @@ class Collection:
             "postproc": _drop,
         }
         if not self.remote:
-            return Collector(self.env, self.policy, track_traj_ids=False, **_PLAIN, **common)
+            return Collector(self.env, self.policy, track_traj_ids=False, return_same_td=True, **_PLAIN, **common)
         threads = max(1, (config.num_threads or len(os.sched_getaffinity(0))) // config.workers)
         makers = [
             partial(
@@ -112,7 +112,7 @@ class Collection:
         )
 
     def collect(self) -> TensorDictBase:
-        """The next batch, (N, T).
+        """The next batch, (N, T), in memory that the one after it may be written to.
 
         Raises:
             CollectionError: if a worker died.

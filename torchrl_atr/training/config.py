@@ -65,6 +65,7 @@ class TrainConfig:
         adaptation_epochs: passes of the estimators over a batch.
         act_source: what the actor acts on in training: ``privileged``, ``estimated`` or ``mixed`` (A24).
         dead_reckoning: whether the extrinsic estimator reads the odometry beside the history.
+        symmetric: whether encoder, actor and critic treat left and right alike by construction.
         normalize_targets: whether the extrinsic estimator's errors are measured in standard deviations (A25).
         steering_cue: whether the actor also reads tanh(c_v) c_ω, which has the sign of the lean that turns.
         privileged_critic: whether the critic reads more than the observation (A20).
@@ -122,6 +123,7 @@ class TrainConfig:
     act_source: Source = "mixed"
     dead_reckoning: bool = True
     steering_cue: bool = True
+    symmetric: bool = True
     normalize_targets: bool = True
     privileged_critic: bool = True
     student_fraction: float = 0.5

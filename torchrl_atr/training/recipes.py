@@ -50,6 +50,13 @@ RECIPE_POINTS: dict[str, Point] = {
         "Once; the ancestors' code counts it twice.",
         ancestor=True,
     ),
+    "symmetric": Point(
+        "ours",
+        "Table I's networks are plain: they have to find out twice what is right on the left and on the right.\n"
+        "By default the weights of encoder, actor and critic are tied, so that a mirrored robot acts mirrored.",
+        literal=False,
+        ancestor=False,
+    ),
     "smoothness_coeff": Point(
         "ours",
         "The paper's r11 and r12 weigh 1e-5 and 1e-7: nothing keeps a policy from chattering at 50 Hz, which lifts\n"

@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 
 from torchrl_atr._files import say, sweep, write_json
 from torchrl_atr.envs.task.rewards import MAX_TRACKING, reward_scale
-from torchrl_atr.modules import correlate, get_estimator
+from torchrl_atr.modules import RidingNetworks, correlate, get_estimator
 from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, save_checkpoint
 from torchrl_atr.training.collection import Collection, CollectionError
@@ -55,8 +55,7 @@ class Trainer:
         scale = reward_scale(self.env.base_env.readings)
         self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
         networks = make_run_networks(config, self.env)
-        with torch.no_grad():
-            networks.update_normalizers(self.env.rollout(config.rollout_steps))
+        self._acquaint(networks)
         self.learner = Learner(networks.to(config.device), config)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
         self.reward, self.best_reward = 0.0, float("-inf")  # of episodes: running mean, and the best at a checkpoint
@@ -109,6 +108,14 @@ class Trainer:
         if self._rng is not None:
             torch.set_rng_state(self._rng)  # last: building all this drew from it
         return collection
+
+    @torch.no_grad()
+    def _acquaint(self, networks: RidingNetworks) -> None:
+        """Means and scales of random actions to start from, a step at a time: a rollout would hold every history."""
+        carrier = self.env.reset()
+        for _ in range(self.config.rollout_steps):
+            step, carrier = self.env.step_and_maybe_reset(self.env.rand_action(carrier))
+            networks.update_normalizers(step)
 
     def _close(self) -> None:
         if "collection" in vars(self):

@@ -25,7 +25,11 @@ def forces(*loads: float) -> list[list[float]]:
     return [[0.0, 0.0, load] for load in loads]
 
 
-MOVING = {"platform_acceleration": [3, 4, 0], "platform_angular_acceleration": [2, 1, -2]}
+TURNING = {
+    "platform_acceleration": [3, 4, 0],
+    "platform_angular_acceleration": [2, 1, -2],
+    "driven_acceleration": [-1.5, 0.5],
+}
 # (term, situation, value worked out by hand from Table III and the paper's weights)
 SHEET = [
     ("forward_command", {"speeds": [1.5, 0.0], "command": (1.5, 0.0)}, 8.0),
@@ -50,8 +54,8 @@ SHEET = [
     # 0.275 above the deck's centre, where 0.28 above its top = 0.305 is wanted
     ("height_maintenance", {"position": [0, 0, 0.425]}, -0.03),
     ("height_maintenance", {"position": [0, 0, 0.475]}, -0.02),
-    ("transporter_smoothness", {**MOVING, "readings": Readings(planar_smoothness=True)}, -(5.0 + 2.0)),
-    ("transporter_smoothness", {**MOVING, "readings": Readings(planar_smoothness=False)}, -(5.0 + 3.0)),
+    ("transporter_smoothness", {**TURNING, "readings": Readings(driven_smoothness=True)}, -(1.5 + 0.5)),
+    ("transporter_smoothness", {**TURNING, "readings": Readings(driven_smoothness=False)}, -(5.0 + 3.0)),
     ("body_orientation", {"euler": [0.3, -0.4, 2.0]}, -0.9 * 0.5),
     ("body_velocity", {"angular_velocity": [3, -4, 9], "velocity": [7, 7, -2]}, -1e-3 * (5.0 + 2.0)),
     ("action_smoothness", {"action": joints(3.0, 1.0), "previous_action": joints(0.0, 5.0)}, -1e-5 * 5.0),

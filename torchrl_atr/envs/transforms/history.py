@@ -95,7 +95,7 @@ class ObservationHistory(Transform):
             raise KeyError(self._absent(observation_spec.keys(True, True)))
         frame = observation_spec[self.in_keys[0]]
         shape = (*frame.shape[:-1], self.length, frame.shape[-1])
-        observation_spec[self.out_keys[0]] = frame.unsqueeze(-2).expand(shape).clone()
+        observation_spec[self.out_keys[0]] = frame.unsqueeze(-2).expand(shape)
         return observation_spec
 
     def get_extra_state(self) -> dict[str, Any]:

@@ -1,0 +1,109 @@
+"""The mirror image of a ride is a ride."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from torchrl_atr.envs import ROBOTS, RidingEnv
+from torchrl_atr.envs.models import DESIGNS, RobotError
+from torchrl_atr.envs.task.randomization import INTRINSICS, intrinsic_slices
+
+PAIRS = [(robot, transporter) for robot in ("a1", "go1", "anymal_c", "spot") for transporter in DESIGNS]
+
+
+def mirrored_simulation(env: RidingEnv, state: TensorDict) -> TensorDict:
+    """The same robots in a mirror: by hand, in MuJoCo's own coordinates."""
+    layout, out = env.scene.layout, state.clone()
+    joints = env.reflections["action"].double()
+    roll = torch.tensor(
+        [[0.0, 1.0], [1.0, 0.0]]
+        if "right" in env.scene.transporter.design.hinges[0].name
+        else [[1.0, 0.0], [0.0, -1.0]]
+    ).double()
+    qpos, qvel = state["qpos"].clone(), state["qvel"].clone()
+    root, dof = layout.root_qpos, layout.root_dof
+    qpos[:, root + 1] *= -1
+    qpos[:, [root + 4, root + 6]] *= -1  # of the quaternion w, x, y, z: rotations about x and z
+    qvel[:, [dof + 1, dof + 3, dof + 5]] *= -1
+    for values, legs, planar, tilt in (
+        (qpos, layout.joint_qpos, layout.planar_qpos, layout.tilt_qpos),
+        (qvel, layout.joint_dof, layout.planar_dof, layout.tilt_dof),
+    ):
+        values[:, legs] = values[:, legs] @ joints.T
+        values[:, planar[1:]] *= -1  # sideways, yaw
+        values[:, tilt] = values[:, tilt] @ roll.T
+    out["qpos"], out["qvel"] = qpos, qvel
+    out["speeds"][:, 1] *= -1
+    out["warmstart"] = torch.zeros_like(state["warmstart"])
+    out["x_int"] = state["x_int"] @ env.reflections["privileged", "intrinsic"].T
+    shift = intrinsic_slices(12)["com_shift"].start + 1
+    sideways = env.model.body_ipos[env.scene.layout.trunk_body, 1]  # 4 mm of A1's, a fact of the robot
+    out["x_int"][:, shift] -= 2 * sideways / INTRINSICS["com_shift"].train[1]
+    return out
+
+
+@pytest.mark.parametrize(("robot", "transporter"), PAIRS)
+def test_a_mirrored_ride_looks_mirrored(robot, transporter):
+    """Physics, observations, rewards: what a reflected robot does when it acts reflected, step by step."""
+    env, other = (RidingEnv(robot, transporter, num_envs=4, pushes=False, seed=seed) for seed in (0, 1))
+    mirror = env.reflections
+    env.reset()
+    other.reset()
+    state = env.get_state().exclude("emitted")
+    state["warmstart"] = torch.zeros_like(state["warmstart"])
+    env.set_state(state)
+    other.set_state(mirrored_simulation(env, state))
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(8):
+        action, command = torch.randn(4, 12, generator=generator) * 0.3, torch.tensor([[1.0, 0.5]]).expand(4, 2)
+        ride = env.step(TensorDict(action=action, command=command, batch_size=[4]))["next"]
+        image = {"action": action @ mirror["action"].T, "command": command @ mirror["command"].T}
+        reflected = other.step(TensorDict(image, batch_size=[4]))["next"]
+        for key in (key for key in mirror if key not in ("action", ("privileged", "intrinsic"))):
+            scale = ride[key].abs().max(0).values.clamp(min=1.0)
+            torch.testing.assert_close(reflected[key] / scale, ride[key] @ mirror[key].T / scale, atol=1e-2, rtol=0)
+        torch.testing.assert_close(reflected["reward"], ride["reward"], atol=1e-2, rtol=0)
+    assert float(ride["observation"].std()) > 0.1
+
+
+@pytest.mark.parametrize(("robot", "transporter"), PAIRS)
+def test_reflections_undo_themselves_and_fit_the_specs(robot, transporter):
+    env = RidingEnv(robot, transporter, num_envs=1)
+    for key, matrix in env.reflections.items():
+        assert torch.equal(matrix @ matrix, torch.eye(len(matrix))), key
+        spec = env.action_spec if key == "action" else env.observation_spec[key]
+        assert spec.shape[-1] == len(matrix), key
+
+
+def test_left_and_right_by_hand():
+    """FR, RR, FL, RL; abduction turns about x, thigh and calf about y."""
+    mirror = RidingEnv(num_envs=1).reflections
+    angles = torch.arange(12.0)
+    assert (mirror["action"] @ angles).tolist() == [-6, 7, 8, -9, 10, 11, -0.0, 1, 2, -3, 4, 5]
+    assert mirror["speeds"].tolist() == [[1, 0], [0, -1]]
+    extrinsic = mirror["privileged", "extrinsic"] @ torch.arange(1.0, 17.0)
+    assert extrinsic.tolist() == [3, 4, 1, 2, 5, -6, 7, 8, -9, 10, -11, 12, -13, 14, -15, -16]
+
+
+def test_two_boards_swap_their_springs():
+    single, two = (RidingEnv(transporter=name, num_envs=1).reflections for name in DESIGNS)
+    key = ("privileged", "intrinsic")
+    springs = torch.arange(30, 34)
+    assert single[key].argmax(-1)[springs].tolist() == [30, 31, 32, 33]
+    assert two[key].argmax(-1)[springs].tolist() == [31, 30, 33, 32]
+
+
+def test_a_lopsided_robot_has_no_reflection():
+    q0 = np.array(ROBOTS.get("a1").q0)
+    q0[1] += 0.2
+    lopsided = dataclasses.replace(ROBOTS.get("a1"), q0=tuple(q0))
+    env = RidingEnv(lopsided, num_envs=1)
+    with pytest.raises(
+        RobotError, match=r"'FR_thigh_joint' is not the mirror image of 'FL_thigh_joint'.*symmetric=false"
+    ):
+        _ = env.reflections
