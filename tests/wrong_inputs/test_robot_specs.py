@@ -44,6 +44,14 @@ def test_refused(refused, tmp_path, changes, mjcf, culprit, remedy):
     assert not scene.exists()
 
 
+def test_a_lopsided_robot_is_not_trained_symmetrically(refused, tmp_path):
+    q0 = [A1.q0[0], A1.q0[1] + 0.02, *A1.q0[2:]]
+    lines = [f"{name} = {json.dumps(value)}" for name, value in {**FACTS, "mjcf": str(A1.mjcf), "q0": q0}.items()]
+    (tmp_path / "mine.toml").write_text("\n".join(lines))
+    train = ["train", "--robot", tmp_path / "mine.toml", "--output", tmp_path / "run", "--num-envs", "2"]
+    refused(train, "'FR_thigh_joint' is not the mirror image of 'FL_thigh_joint'", "symmetric=false")
+
+
 @pytest.mark.parametrize(
     ("name", "data", "culprit", "remedy"),
     [

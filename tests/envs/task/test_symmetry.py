@@ -10,7 +10,8 @@ import torch
 from tensordict import TensorDict
 
 from torchrl_atr.envs import ROBOTS, RidingEnv
-from torchrl_atr.envs.models import DESIGNS, RobotError
+from torchrl_atr.envs.models import DESIGNS, TRANSPORTERS, RobotError
+from torchrl_atr.envs.models.transporter import TWO_BOARD, TransporterError
 from torchrl_atr.envs.task.randomization import INTRINSICS, intrinsic_slices
 
 PAIRS = [(robot, transporter) for robot in ("a1", "go1", "anymal_c", "spot") for transporter in DESIGNS]
@@ -96,6 +97,15 @@ def test_two_boards_swap_their_springs():
     springs = torch.arange(30, 34)
     assert single[key].argmax(-1)[springs].tolist() == [30, 31, 32, 33]
     assert two[key].argmax(-1)[springs].tolist() == [31, 30, 33, 32]
+
+
+def test_a_lopsided_transporter_has_no_reflection():
+    left = dataclasses.replace(TWO_BOARD.boards[1], offset=0.3)
+    two = TRANSPORTERS.get("two_board_g1")
+    lopsided = dataclasses.replace(two, design=dataclasses.replace(two.design, boards=(TWO_BOARD.boards[0], left)))
+    env = RidingEnv(transporter=lopsided, num_envs=1)
+    with pytest.raises(TransporterError, match=r"'deck_right' has no mirror image.*symmetric=false"):
+        _ = env.reflections
 
 
 def test_a_lopsided_robot_has_no_reflection():

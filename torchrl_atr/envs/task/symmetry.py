@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import mujoco
@@ -12,7 +13,7 @@ from torch import Tensor
 
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS
 from torchrl_atr.envs.models.scene import Scene
-from torchrl_atr.envs.models.transporter import Design
+from torchrl_atr.envs.models.transporter import Board, TransporterError, TransporterSpec
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task import observations, outlook, randomization
 
@@ -36,7 +37,7 @@ def reflections(scene: Scene, readings: Readings) -> dict[NestedKey, Tensor]:
         By key the matrix R, (D, D), that makes the mirror image R x; a signed permutation that undoes itself.
 
     Raises:
-        RobotError: if the robot's left legs are not the mirror image of its right ones.
+        RobotError, TransporterError: if the left legs or boards are not the mirror image of the right ones.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
@@ -45,7 +46,7 @@ def reflections(scene: Scene, readings: Readings) -> dict[NestedKey, Tensor]:
         [1.0, -0.5]
     """
     legs, joints = _sides_swapped(), _joints(scene)
-    gains = _gains(scene.transporter.design)
+    gains = _gains(scene.transporter)
     parts: dict[str, Tensor] = {
         "acceleration": _signs(POLAR),
         "angular_velocity": _signs(AXIAL),
@@ -114,11 +115,21 @@ def _joints(scene: Scene) -> Tensor:
     return matrix
 
 
-def _gains(design: Design) -> Tensor:
+def _gains(deck: TransporterSpec) -> Tensor:
     """Of Table II's two self-balancing gains, (2, 2): roll and pitch stay, those of a right and a left board swap."""
-    matrix = torch.zeros(2, 2)
-    for board in design.boards:
-        (mirrored,) = (other for other in design.boards if other.offset == -board.offset)
+    matrix, boards = torch.zeros(2, 2), deck.design.boards
+    for board in boards:
+        mirrored = next((other for other in boards if _mirror_images(board, other)), None)
+        if mirrored is None:
+            raise TransporterError(
+                f"transporter {deck.name!r}: board {board.name!r} has no mirror image on the other side; "
+                "add it, or train with symmetric=false"
+            )
         for hinge, partner in zip(board.hinges, mirrored.hinges):
             matrix[partner.gain, hinge.gain] = 1.0
     return matrix
+
+
+def _mirror_images(board: Board, other: Board) -> bool:
+    alike = [hinge.axis for hinge in board.hinges] == [hinge.axis for hinge in other.hinges]
+    return alike and math.isclose(board.offset, -other.offset) and math.isclose(board.share, other.share)
