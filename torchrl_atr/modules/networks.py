@@ -242,7 +242,7 @@ def make_networks(
     obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
     ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
     odometry_norm, outlook_norm = (
-        RunningNormalizer(*_shape(observation_spec, key, 1), reflection=mirror(key))
+        RunningNormalizer(_shape(observation_spec, key, 1), reflection=mirror(key))
         if key is not None and key in observation_spec.keys(True, True)
         else None
         for key in (keys.odometry, keys.outlook)

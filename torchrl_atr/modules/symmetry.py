@@ -142,6 +142,6 @@ def symmetric_mlp(inputs: Tensor, outputs: Tensor, cells: Sequence[int]) -> nn.S
         >>> symmetric_mlp(torch.eye(3), torch.eye(1), [8, 4])(torch.zeros(2, 3)).shape
         torch.Size([2, 1])
     """
-    sides = [inputs, *(halves_swapped(cell) for cell in cells), outputs]
-    layers = [SymmetricLinear(*pair) for pair in itertools.pairwise(sides)]
-    return nn.Sequential(*itertools.chain.from_iterable((layer, nn.ELU()) for layer in layers))[:-1]
+    *hidden, last = itertools.pairwise([inputs, *(halves_swapped(cell) for cell in cells), outputs])
+    activated = ((SymmetricLinear(*pair), nn.ELU()) for pair in hidden)
+    return nn.Sequential(*itertools.chain.from_iterable(activated), SymmetricLinear(*last))

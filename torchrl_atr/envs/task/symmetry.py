@@ -92,7 +92,7 @@ def _signs(values: Sequence[float]) -> Tensor:
 def _sides_swapped() -> Tensor:
     """Of one number a leg, (4, 4): front left for front right, and so on."""
     other = {"R": "L", "L": "R"}
-    return torch.eye(len(LEGS))[[LEGS.index(end + other[side]) for end, side in LEGS]]
+    return torch.eye(len(LEGS))[[LEGS.index(leg[0] + other[leg[1]]) for leg in LEGS]]
 
 
 def _joints(scene: Scene) -> Tensor:
