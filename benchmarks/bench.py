@@ -44,9 +44,9 @@ class Plan:
 
     cpus: int = 0
     num_envs: int = 1024
-    sizes: tuple[int, ...] = (64, 256, 1024, 4096)
-    training_sizes: tuple[int, ...] = (256, 64, 1024)
-    steps: int = 24
+    sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)
+    training_sizes: tuple[int, ...] = (512, 256, 1024)
+    steps: int = 12
     rounds: int = 5
     seconds: float = 0.5
     profiled: int = 8
@@ -87,7 +87,9 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
         makers: list[Maker] = [partial(loop.contender, plan.cpus) for loop in loops]
         makers += [partial(matrix_products, loops[0], plan.cpus), *_layers(plan)]
         makers += [partial(peer, plan.cpus) for peer in peers]
-        rates = interleave([_opened(make, stack) for make in makers], plan.rounds, plan.seconds, say)
+        threads = torch.get_num_threads()
+        opened = [_opened(make, stack) for make in makers]
+        rates = interleave(opened, plan.rounds, plan.seconds, say, torch_threads=threads)
         say("profiling")
         flops, phases = flops_per_frame(loops[0]), profile(loops[0], plan.profiled)
     results |= _figures(plan, rates, flops)

@@ -116,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--minutes", type=float, default=60.0, help="of training, at most, for each seed")
     parser.add_argument("--every", type=float, default=5.0, help="minutes between evaluations")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--num-envs", type=int, default=256)
+    parser.add_argument("--num-envs", type=int, default=TrainConfig.num_envs)
     parser.add_argument("--robots-per-command", type=int, default=8)
     arguments = parser.parse_args(argv)
     started, runs = time.monotonic(), []

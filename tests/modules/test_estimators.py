@@ -11,6 +11,7 @@ from torchrl_atr.modules import (
     get_estimator,
     register_estimator,
 )
+from torchrl_atr.modules.estimators import TimeConvolution
 
 SHAPE, OUT = (6, 5), 3
 
@@ -36,7 +37,15 @@ def test_cnn_gru_matches_table_1():
     net = get_estimator("cnn_gru")(history_shape=(10, 46), out_features=16)
     assert net.gru.hidden_size == 64  # ours: the paper gives the MLP's width only
     assert [layer.out_features for layer in net.head if isinstance(layer, nn.Linear)] == [128, 16]
-    assert sum(isinstance(layer, nn.Conv1d) for layer in net.convolutions) == 2
+    assert sum(isinstance(layer, TimeConvolution) for layer in net.convolutions) == 2
+
+
+@pytest.mark.parametrize(("length", "kernel", "stride"), [(10, 4, 2), (4, 2, 1), (5, 5, 3), (1, 1, 1)])
+def test_a_time_convolution_is_a_convolution_over_time(length, kernel, stride):
+    ours, x = TimeConvolution(3, 8, kernel, stride), torch.randn(7, length, 3)
+    theirs = ours.weight.unflatten(1, (kernel, 3)).transpose(1, 2)
+    expected = nn.functional.conv1d(x.transpose(1, 2), theirs, ours.bias, stride).transpose(1, 2)
+    torch.testing.assert_close(ours(x), expected)
 
 
 @pytest.mark.parametrize("name", ["cnn_gru", "mlp"])

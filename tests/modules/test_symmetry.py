@@ -65,6 +65,11 @@ def test_a_layer_commutes_with_reflections():
     assert not torch.allclose(layer(x), layer(x).roll(4, -1), atol=0.1)
 
 
+def test_a_layer_without_hidden_units_on_either_side_is_refused():
+    with pytest.raises(ValueError, match="swaps halves"):
+        SymmetricLinear(reflection_of(5), reflection_of(4))
+
+
 def test_an_mlp_starts_with_outputs_as_large_as_a_plain_one():
     torch.manual_seed(0)
     x, swapped = torch.randn(512, 64), halves_swapped(64)

@@ -35,7 +35,7 @@ def test_toml_file(tmp_path):
         ({"gamma": 1.5}, [], r"gamma=1.5 is out of range; choose a number in \[0, 0.99999\]"),
         ({"gamma": float("nan")}, [], "gamma=nan is out of range"),
         ({}, ["gamma"], "write it as key=value"),
-        ({}, ["num_envs=many"], "num_envs='many' does not fit; give a whole number such as 256"),
+        ({}, ["num_envs=many"], "num_envs='many' does not fit; give a whole number such as 512"),
         ({"num_envs": 2.5}, [], "num_envs=2.5 does not fit"),
         ({"robot": 3}, [], "robot=3 does not fit; give a text such as a1"),
         ({"dead_reckoning": "maybe"}, [], "dead_reckoning='maybe' does not fit; give true or false"),

@@ -46,7 +46,7 @@ def _fill(value: float) -> Callable[[dict], object]:
         (_drop("version"), "is not a checkpoint of ours", "give a run folder"),
         (_drop("learner", "networks"), "lacks 'learner/networks'", "give a folder that"),
         (_drop("config"), "lacks 'config'", "give a folder that"),
-        (_settings(critic_cells=[32]), "critic.net.0.weight is (8, ", "use the code, the settings"),
+        (_settings(critic_cells=[32]), "critic.net.0.weight is (4, ", "use the code, the settings"),
         (_settings(estimator="mlp"), "intrinsic_estimator.net", "use the code, the settings"),
         (_settings(history_length=3), "do not fit its settings: intrinsic_est", "use the code, the settings"),
         (_settings(estimator="my_own"), "unknown estimator 'my_own'", "register_estimator"),

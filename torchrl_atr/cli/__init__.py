@@ -11,13 +11,20 @@ from torchrl_atr._files import explain
 from torchrl_atr.cli.commands import COMMANDS
 from torchrl_atr.cli.parser import build_parser, refuse
 
+ENVIRONMENT = {
+    "RL_LOGGING_LEVEL": "WARNING",
+    "GOMP_SPINCOUNT": "20000",  # between two operations torch's threads spin on CPUs that MuJoCo's then lack
+}
+"""Set unless they are, before a command imports torch and torchrl, which read them."""
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; bad input ends with one message and exit code 2."""
     arguments, unknown = build_parser().parse_known_args(argv)
     if unknown:
         refuse(arguments, unknown[0])
-    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")  # read when torchrl is imported, by the command
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
     try:
         return COMMANDS[arguments.command](arguments) or 0
     except KeyboardInterrupt:

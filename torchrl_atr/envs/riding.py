@@ -171,12 +171,12 @@ class RidingEnv(EnvBase):
         n = self.batch_size[0]
         mask = None if tensordict is None else tensordict.get("_reset", None)
         chosen = torch.ones(n, dtype=torch.bool) if mask is None else mask.reshape(n)
-        rows = chosen.nonzero().squeeze(-1).numpy()
-        if len(rows):
-            command = self._command(tensordict)[chosen]
+        index = chosen.nonzero().squeeze(-1)
+        if len(index):
+            rows, command = index.numpy(), self._command(tensordict)[index]
             fresh = self.task.observe(command, self.task.begin(rows, command), rows)
             for key, value in fresh.items():
-                self._emitted[key] = self._emitted[key].masked_scatter(chosen.unsqueeze(-1), value)
+                self._emitted[key] = self._emitted[key].index_copy(0, index, value)
         return self._pack(self._emitted, terminated=torch.zeros(n, dtype=torch.bool), terms=None)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:

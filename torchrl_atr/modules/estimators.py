@@ -92,6 +92,29 @@ def _check_history(history: Tensor, history_shape: tuple[int, int]) -> None:
         )
 
 
+class TimeConvolution(nn.Linear):
+    """A convolution over time as a linear map of overlapping windows: what ``nn.Conv1d`` does, faster where T is small.
+
+    Args:
+        in_features (int): of every time step.
+        out_features (int): channels.
+        kernel (int): time steps in a window.
+        stride (int): time steps from one window to the next. Defaults to 1.
+
+    Examples:
+        >>> TimeConvolution(3, 8, kernel=4, stride=2)(torch.zeros(5, 10, 3)).shape
+        torch.Size([5, 4, 8])
+    """
+
+    def __init__(self, in_features: int, out_features: int, kernel: int, stride: int = 1) -> None:
+        super().__init__(kernel * in_features, out_features)
+        self.step = stride * in_features
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map (B, T, in_features) to (B, (T - kernel) // stride + 1, out_features)."""
+        return super().forward(x.flatten(1).unfold(1, self.in_features, self.step))
+
+
 @register_estimator("cnn_gru")
 class CNNGRUEstimator(nn.Module):
     """CNN-GRU + MLP estimator of Table I (reading A26), stateless on the history window.
@@ -131,9 +154,9 @@ class CNNGRUEstimator(nn.Module):
         self.padding = (kernel - length) % stride
         steps = (length + self.padding - kernel) // stride + 1
         self.convolutions = nn.Sequential(
-            nn.Conv1d(features, channels, kernel, stride),
+            TimeConvolution(features, channels, kernel, stride),
             nn.ELU(),
-            nn.Conv1d(channels, channels, min(2, steps)),
+            TimeConvolution(channels, channels, min(2, steps)),
             nn.ELU(),
         )
         self.gru = nn.GRU(channels, gru_features, batch_first=True)
@@ -142,11 +165,10 @@ class CNNGRUEstimator(nn.Module):
     def forward(self, history: Tensor) -> Tensor:
         """Map (*B, H, D), oldest first, to (*B, out_features)."""
         _check_history(history, self.history_shape)
-        x = history.reshape(-1, *self.history_shape).transpose(-1, -2)
+        x = history.reshape(-1, *self.history_shape)
         if self.padding:
-            x = nn.functional.pad(x, (self.padding, 0), mode="replicate")
-        x = self.convolutions(x).transpose(-1, -2)
-        out = self.head(self.gru(x)[0][:, -1])
+            x = torch.cat([x[:, :1].expand(-1, self.padding, -1), x], 1)
+        out = self.head(self.gru(self.convolutions(x))[1][0])
         return out.reshape(*history.shape[:-2], out.shape[-1])
 
 

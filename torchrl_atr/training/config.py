@@ -88,8 +88,8 @@ class TrainConfig:
     profile: str = "default"
     estimator: str = "cnn_gru"
     imports: tuple[str, ...] = ()
-    num_envs: int = 256
-    rollout_steps: int = 24
+    num_envs: int = 512
+    rollout_steps: int = 12
     total_frames: int = 50_000_000
     max_minutes: float = 0.0
     seed: int = 0

@@ -69,7 +69,9 @@ class Learner:
             "critic": config.critic_learning_rate,
             "estimators": config.estimator_learning_rate,
         }
-        self.optimizers = {name: torch.optim.Adam(group, lr=rates[name]) for name, group in self._groups.items()}
+        self.optimizers = {
+            name: torch.optim.Adam(group, lr=rates[name], fused=True) for name, group in self._groups.items()
+        }
         self.schedule = KLAdaptiveLR(self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate)
         self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa_coeff) if config.roa_ramp else None
         self.guard = StepGuard()

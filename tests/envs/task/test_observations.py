@@ -9,7 +9,7 @@ import torch
 
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.task.observations import EXTRINSIC, PROPRIO, body_acceleration, relative_yaw
+from torchrl_atr.envs.task.observations import EXTRINSIC, PROPRIO, body_acceleration
 from torchrl_atr.envs.task.state import CONTROL_DT
 
 N = 3
@@ -168,7 +168,7 @@ def test_an_imu_also_feels_gravity(make_state):
 
 def test_relative_yaw_is_the_short_way_round(make_state):
     state = make_state(euler=[0, 0, 3.1], platform_euler=[0, 0, -3.1])
-    assert relative_yaw(state).item() == pytest.approx(6.2 - 2 * np.pi, abs=1e-5)
+    assert state.relative_yaw.item() == pytest.approx(6.2 - 2 * np.pi, abs=1e-5)
 
 
 def test_dead_reckoning_from_rest_knows_the_bodys_velocity():

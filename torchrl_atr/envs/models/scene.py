@@ -177,6 +177,17 @@ def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
     )
 
 
+def columns(addresses: np.ndarray) -> slice | np.ndarray:
+    """Addresses as a slice where they run on: a view where they would make a copy.
+
+    Example:
+        >>> columns(np.array([3, 4, 5])), columns(np.array([4, 3]))
+        (slice(3, 6, None), array([4, 3]))
+    """
+    first, n = int(addresses[0]), len(addresses)
+    return slice(first, first + n) if np.array_equal(addresses, np.arange(first, first + n)) else addresses
+
+
 def _inverse(permutation: np.ndarray) -> np.ndarray:
     inverse = np.empty_like(permutation)
     inverse[permutation] = np.arange(len(permutation))

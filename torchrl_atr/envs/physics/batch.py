@@ -14,7 +14,7 @@ from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
 from torchrl_atr.envs.profiles import Readings
 
-_STATE, _FRESH = mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL
+_STATE = mujoco.mjtStage.mjSTAGE_NONE
 
 
 class BatchEngine(Engine):
@@ -43,10 +43,10 @@ class BatchEngine(Engine):
         self.sensordata, self.actuator_force = bind("sensordata"), bind("actuator_force")
         self.fields = {name: expand(name) for name in RANDOMIZED_FIELDS}
 
-    def _substep(self, last: bool) -> None:
+    def _substep(self) -> None:
         # a simulation that fails keeps its state and time, which marks it as diverged, while the others go on
         with contextlib.suppress(mujoco.batch.SimulationError):
-            self.batch.step(nstep=1, stage=_FRESH if last else _STATE)
+            self.batch.step(nstep=1)
 
     def _warnings(self) -> NDArray[np.int64]:
         return self.batch.warning[:, :, 1]

@@ -46,7 +46,7 @@ class RidingPhysics(Physics):
 
 
 class DmControlEngine(Engine):
-    """One robot under the common interface; its arrays are (1, n) live views of dm_control's.
+    """One robot under the common interface; its arrays are (1, n), the state's live views of dm_control's.
 
     Args:
         scene: the compiled scene; the engine randomises a copy of its model.
@@ -73,7 +73,7 @@ class DmControlEngine(Engine):
         self.qpos, self.qvel, self.ctrl = data.qpos[None], data.qvel[None], data.ctrl[None]
         self.qfrc_applied = data.qfrc_applied[None]
         self.warmstart = data.qacc_warmstart[None]
-        self.sensordata, self.actuator_force = data.sensordata[None], data.actuator_force[None]
+        self.sensordata, self.actuator_force = data.sensordata[None].copy(), data.actuator_force[None]
         self.fields = {name: getattr(self._model, name)[None] for name in RANDOMIZED_FIELDS}
         rows = np.arange(1)
         self._restart(rows, scene.model.key_qpos[:1], scene.model.key_qvel[:1])
@@ -83,10 +83,14 @@ class DmControlEngine(Engine):
         """See :class:`Engine`."""
         return np.array([self._data.time])
 
-    def _substep(self, last: bool) -> None:
+    def advance(self, substeps: int) -> None:
+        """See :class:`Engine`; leaves position and velocity quantities current, as dm_control does."""
+        super().advance(substeps)
+        mujoco.mj_step1(self._model, self._data)
+
+    def _substep(self) -> None:
         mujoco.mj_step(self._model, self._data)
-        if last:
-            mujoco.mj_step1(self._model, self._data)
+        self.sensordata[0] = self._data.sensordata
 
     def _warnings(self) -> NDArray[np.int64]:
         return self._data.warning.number[None]
@@ -102,3 +106,4 @@ class DmControlEngine(Engine):
     def forward(self) -> None:
         """See :class:`Engine`."""
         mujoco.mj_forward(self._model, self._data)
+        self.sensordata[0] = self._data.sensordata

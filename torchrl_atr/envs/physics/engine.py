@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_atr.envs.models.scene import TIMESTEP, Scene
+from torchrl_atr.envs.models.scene import TIMESTEP, Scene, columns
 from torchrl_atr.envs.physics.law import DriveLaw
 from torchrl_atr.envs.profiles import Readings
 
@@ -74,8 +74,7 @@ class Engine(ABC):
         time: live simulation time, s, (N,); MuJoCo starts it anew when it resets a diverged simulation.
         warmstart: the solver's warm start, live, (N, nv): part of the state that bit-identical continuation
             needs.
-        sensordata: sensor readings, (N, nsensordata), current after a control step; contact forces are those
-            of its last substep.
+        sensordata: sensor readings of the state that the last substep began with, (N, nsensordata).
         actuator_force: joint torques of the last substep in MJCF actuator order, N m, (N, nu).
         speeds: the law's own state (v_f, ω_z), (N, 2).
         odometer: deck position in the world, m, (N, 2), since recentring keeps ``qpos`` near the origin.
@@ -100,6 +99,8 @@ class Engine(ABC):
         self.scene = scene
         self.num_envs = num_envs
         self.law = DriveLaw(scene.transporter, readings)
+        self._tilt, self._planar = columns(scene.layout.tilt_qpos), columns(scene.layout.planar_dof)
+        self._heading = int(scene.layout.planar_qpos[2])
         self.speeds = np.zeros((num_envs, 2))
         self.odometer = np.zeros((num_envs, 2))
         self.diverged = np.zeros(num_envs, dtype=bool)
@@ -109,8 +110,8 @@ class Engine(ABC):
         self._refresh_deck(np.arange(num_envs), self._deck_mass)
 
     @abstractmethod
-    def _substep(self, last: bool) -> None:
-        """One simulation step; after the last one, position and velocity quantities must be current."""
+    def _substep(self) -> None:
+        """One simulation step; what it derives is of the state it began with."""
 
     @abstractmethod
     def _warnings(self) -> NDArray[np.int64]:
@@ -145,9 +146,9 @@ class Engine(ABC):
     def advance(self, substeps: int) -> None:
         """``substeps`` x (law, planar force, simulation step); notes which simulations diverged."""
         warned, expected = self._warnings()[:, _DIVERGED].copy(), self.time + substeps * TIMESTEP
-        for substep in range(substeps):
+        for _ in range(substeps):
             self.prescribe()
-            self._substep(last=substep == substeps - 1)
+            self._substep()
         # MuJoCo's own reset also zeroes the counts: a second divergence in a row shows in the time alone
         warned_anew = (self._warnings()[:, _DIVERGED] > warned).any(axis=1)
         self.diverged = np.asarray(warned_anew | (np.abs(self.time - expected) > 0.5 * TIMESTEP))
@@ -155,17 +156,16 @@ class Engine(ABC):
 
     def prescribe(self) -> None:
         """Evaluates the law at the current tilt and applies the force that realises it in one substep."""
-        layout, dt = self.scene.layout, TIMESTEP
-        self.speeds = self.law(self.speeds, self.qpos[:, layout.tilt_qpos], self._scale, dt)
-        speed, yaw_rate = self.speeds[:, 0], self.speeds[:, 1]
-        heading = self.qpos[:, layout.planar_qpos[2]] + dt * yaw_rate
+        dt = TIMESTEP
+        self.speeds = self.law(self.speeds, self.qpos[:, self._tilt], self._scale, dt)
+        speed, yaw_rate = self.speeds.T
+        heading = self.qpos[:, self._heading] + dt * yaw_rate
         target = np.stack([speed * np.cos(heading), speed * np.sin(heading), yaw_rate], axis=-1)  # Eq. 2
-        error = target - self.qvel[:, layout.planar_dof]
-        self.qfrc_applied[:, layout.planar_dof] = self._planar_inertia * error / dt
+        self.qfrc_applied[:, self._planar] = self._planar_inertia * (target - self.qvel[:, self._planar]) / dt
 
     def driven_acceleration(self, rows: NDArray[np.int64] | slice) -> Array:
         """v̇ and α that the law gives ``rows`` at their present tilt and speeds, m/s² and rad/s², (n, 2)."""
-        speeds, tilt = self.speeds[rows], self.qpos[rows][:, self.scene.layout.tilt_qpos]
+        speeds, tilt = self.speeds[rows], self.qpos[rows][:, self._tilt]
         return (self.law(speeds, tilt, self._scale[rows], TIMESTEP) - speeds) / TIMESTEP
 
     def reset(self, rows: NDArray[np.int64], qpos: Array, qvel: Array, parameters: PhysicalParameters) -> None:

@@ -70,10 +70,10 @@ def advance(
     With the jump of sgn in R the resistance may stop the motion within the step but never reverse it (A10).
 
     Args:
-        x: speed, m/s or rad/s, shape (N,).
-        push: propulsion, shape (N,).
+        x: speed, m/s or rad/s, any shape.
+        push: propulsion, same shape.
         coefficients: of R.
-        scale: 1 / m_P or 1 / I_zz, or relative to nominal (A9), shape (N,) or scalar.
+        scale: 1 / m_P or 1 / I_zz, or relative to nominal (A9), same shape or scalar.
         dt: s.
         readings: how R is read.
     """
@@ -127,12 +127,5 @@ class DriveLaw:
             dt: substep, s.
         """
         forward, steering = np.asarray(self.deck.design.driving) @ tilt.T
-        pushes = drive(forward, steering, self.deck, self.readings)
-        coefficients = self.deck.resistance
-        return np.stack(
-            [
-                advance(speeds[:, i], pushes[i], coefficients, scale[:, i], dt, self.readings)
-                for i in range(2)  # forward, yaw
-            ],
-            axis=-1,
-        )
+        pushes = np.stack(drive(forward, steering, self.deck, self.readings), axis=-1)
+        return advance(speeds, pushes, self.deck.resistance, scale, dt, self.readings)

@@ -11,16 +11,15 @@ import torch
 from torch import Tensor
 
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.task.rotations import rotate_about, rotate_back, wrap
+from torchrl_atr.envs.task.rotations import rotate_about, rotate_back
 from torchrl_atr.envs.task.state import CONTROL_DT, GRAVITY, RidingState
 
 
 def body_acceleration(state: RidingState, readings: Readings) -> Tensor:
     """v̇_B in the body frame, m/s², (N, 3); with gravity's reaction if the profile asks for an IMU (A18)."""
-    acceleration = state.acceleration
     if readings.gravity_in_acceleration:
-        acceleration = acceleration + acceleration.new_tensor([0.0, 0.0, GRAVITY])
-    return rotate_back(state.rotation, acceleration)
+        return state.body_acceleration + GRAVITY * state.rotation[:, 2]
+    return state.body_acceleration
 
 
 PROPRIO: dict[str, Callable[[RidingState, Readings], Tensor]] = {
@@ -37,20 +36,10 @@ EXTRINSIC: dict[str, Callable[[RidingState], Tensor]] = {
     "body_velocity": lambda state: rotate_back(state.rotation, state.velocity),
     "platform_velocity": lambda state: rotate_back(state.rotation, state.platform_velocity),
     "platform_angular_velocity": lambda state: rotate_back(state.rotation, state.platform_angular_velocity),
-    "relative_position": lambda state: relative_position(state),
-    "relative_yaw": lambda state: relative_yaw(state),
+    "relative_position": lambda state: state.relative_position,
+    "relative_yaw": lambda state: state.relative_yaw,
 }
 """x_ext = [c, v_B, v_P, ω_P, p_B,xy in P, θ_B,z in P] by component (Table V's order)."""
-
-
-def relative_position(state: RidingState) -> Tensor:
-    """Position of the body in the platform frame, horizontal part, m, (N, 2)."""
-    return rotate_back(state.platform_rotation, state.position - state.platform_position)[:, :2]
-
-
-def relative_yaw(state: RidingState) -> Tensor:
-    """Heading of the body relative to the platform, rad, (N, 1)."""
-    return wrap(state.euler[:, 2:] - state.platform_euler[:, 2:])
 
 
 def dead_reckoning(velocity: Tensor, state: RidingState) -> Tensor:
@@ -66,8 +55,8 @@ def dead_reckoning(velocity: Tensor, state: RidingState) -> Tensor:
     Returns:
         (N, 3), body frame, m/s.
     """
-    acceleration = rotate_back(state.rotation, state.acceleration)
-    return rotate_about(velocity, -CONTROL_DT * state.angular_velocity) + CONTROL_DT * acceleration
+    turned = rotate_about(velocity, -CONTROL_DT * state.angular_velocity)
+    return turned + CONTROL_DT * state.body_acceleration
 
 
 def proprio(state: RidingState, previous_action: Tensor, readings: Readings) -> Tensor:

@@ -28,5 +28,6 @@ def outlook(state: RidingState, command: Tensor) -> Tensor:
         :data:`HORIZONS` if the accelerations lasted.
     """
     error = state.speeds - command
-    ahead = [tracking_kernel(error + horizon * state.driven_acceleration) for horizon in HORIZONS]
-    return torch.cat([state.driving_tilt.flip(-1), state.driven_acceleration, error, *ahead], -1)
+    seconds = error.new_tensor(HORIZONS).unsqueeze(-1)  # (4, 1)
+    ahead = tracking_kernel(error.unsqueeze(-2) + seconds * state.driven_acceleration.unsqueeze(-2)).flatten(-2)
+    return torch.cat([state.driving_tilt.flip(-1), state.driven_acceleration, error, ahead], -1)

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.task.observations import relative_yaw
 from torchrl_atr.envs.task.state import CONTACT_THRESHOLD, CONTROL_DT, GRAVITY, RidingState
 
 KERNEL_WIDTH = 0.5
@@ -99,7 +98,7 @@ def position_alignment(c: RewardContext) -> Tensor:
 @reward_term("heading_alignment")
 def heading_alignment(c: RewardContext) -> Tensor:
     """r3 = -k3 |θ_B,z - θ_P,z| (the minus is missing in print, A8)."""
-    return -4.0 * relative_yaw(c.state)[:, 0].abs()
+    return -4.0 * c.state.relative_yaw[:, 0].abs()
 
 
 @reward_term("com_stabilization")
@@ -258,8 +257,9 @@ def compute_rewards(
     Returns:
         ``reward`` (N, 1) and the scaled terms by name, (N, 1) each; they add up to ``reward`` unless clipped.
     """
-    terms = {name: (scale * term(context)).unsqueeze(-1) for name, term in REWARD_TERMS.items()}
-    if not clip_to_positive:
-        return torch.stack(list(terms.values())).sum(0), terms
-    others = torch.stack([value for name, value in terms.items() if name != "termination"]).sum(0)
-    return others.clamp_min(0.0) + terms["termination"], terms
+    values = scale * torch.stack([term(context) for term in REWARD_TERMS.values()], -1)
+    terms = dict(zip(REWARD_TERMS, values.split(1, -1)))
+    total = values.sum(-1, keepdim=True)
+    if clip_to_positive:
+        total = (total - terms["termination"]).clamp_min(0.0) + terms["termination"]
+    return total, terms

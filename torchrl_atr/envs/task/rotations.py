@@ -5,6 +5,29 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+# rows: the products ww, wx, wy, wz, xw, xx, ... of w, x, y, z; columns: the nine entries of R
+_FROM_PRODUCTS = torch.tensor(
+    [
+        # R00 R01 R02 R10 R11 R12 R20 R21 R22
+        [1, 0, 0, 0, 1, 0, 0, 0, 1],  # ww
+        [0, 0, 0, 0, 0, -2, 0, 2, 0],  # wx
+        [0, 0, 2, 0, 0, 0, -2, 0, 0],  # wy
+        [0, -2, 0, 2, 0, 0, 0, 0, 0],  # wz
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],  # xw
+        [1, 0, 0, 0, -1, 0, 0, 0, -1],  # xx
+        [0, 2, 0, 2, 0, 0, 0, 0, 0],  # xy
+        [0, 0, 2, 0, 0, 0, 2, 0, 0],  # xz
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],  # yw
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],  # yx
+        [-1, 0, 0, 0, 1, 0, 0, 0, -1],  # yy
+        [0, 0, 0, 0, 0, 2, 0, 2, 0],  # yz
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],  # zw
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],  # zx
+        [0, 0, 0, 0, 0, 0, 0, 0, 0],  # zy
+        [-1, 0, 0, 0, -1, 0, 0, 0, 1],  # zz
+    ]
+)
+
 
 def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
     """Rotation matrices of unit quaternions (w, x, y, z).
@@ -15,13 +38,8 @@ def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
     Returns:
         (*B, 3, 3), body to world.
     """
-    w, x, y, z = quaternion.unbind(-1)
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows, -1).unflatten(-1, (3, 3))
+    products = (quaternion.unsqueeze(-1) * quaternion.unsqueeze(-2)).flatten(-2)
+    return (products @ _FROM_PRODUCTS.to(quaternion)).unflatten(-1, (3, 3))
 
 
 def euler_from_matrix(rotation: Tensor) -> Tensor:
@@ -48,6 +66,19 @@ def matrix_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
         -sp, cp * sr, cp * cr,
     ]  # fmt: skip
     return torch.stack(rows, -1).unflatten(-1, (3, 3))
+
+
+def angular_velocity(euler: Tensor, rates: Tensor) -> Tensor:
+    """ω in the world frame of what turns with these rates of roll, pitch and yaw, rad/s.
+
+    Args:
+        euler: roll, pitch, yaw, rad, (*B, 3).
+        rates: their derivatives, rad/s, (*B, 3).
+    """
+    (_, sp, sy), (_, cp, cy) = torch.sin(euler).unbind(-1), torch.cos(euler).unbind(-1)
+    roll, pitch, yaw = rates.unbind(-1)
+    level = cp * roll  # along the heading
+    return torch.stack([cy * level - sy * pitch, sy * level + cy * pitch, yaw - sp * roll], -1)
 
 
 def rotate(rotation: Tensor, vector: Tensor) -> Tensor:

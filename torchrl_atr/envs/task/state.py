@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -10,12 +11,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchrl_atr.envs.models.decks import DECK_HEIGHT
-from torchrl_atr.envs.models.scene import TIMESTEP
+from torchrl_atr.envs.models.scene import TIMESTEP, columns
 from torchrl_atr.envs.physics.engine import DECIMATION, Engine
 from torchrl_atr.envs.task.rotations import (
+    angular_velocity,
     euler_from_matrix,
     matrix_from_euler,
     matrix_from_quaternion,
+    rotate_back,
+    wrap,
 )
 
 CONTROL_DT = TIMESTEP * DECIMATION
@@ -32,7 +36,8 @@ class RidingState:
     """One batch of N robots after a control step, float32, world frame unless the name says otherwise.
 
     Accelerations are differences over the control step (A32): what a low-passed IMU reports, free of solver
-    spikes.
+    spikes. Forces, feet and centre of mass are those that the last substep began with: only relations between them
+    mean something, such as the centre of mass over the polygon of the feet.
 
     Attributes:
         position, velocity, acceleration: of the body B's frame origin, (N, 3).
@@ -76,25 +81,30 @@ class RidingState:
     other_force: Tensor
     com: Tensor
 
-    @property
+    @cached_property
     def foot_load(self) -> Tensor:
         """Magnitude of each foot's contact force, N, (N, 4)."""
         return self.foot_force.norm(dim=-1)
 
-    @property
+    @cached_property
     def contacts(self) -> Tensor:
         """Contact indicators c_i as 0 or 1, (N, 4)."""
         return (self.foot_load > CONTACT_THRESHOLD).to(self.foot_force.dtype)
 
+    @cached_property
+    def body_acceleration(self) -> Tensor:
+        """v̇_B in the body frame, m/s², (N, 3)."""
+        return rotate_back(self.rotation, self.acceleration)
 
-@dataclass
-class Velocities:
-    """What the next state differentiates: read at the end of a control step."""
+    @cached_property
+    def relative_position(self) -> Tensor:
+        """Position of the body in the platform frame, horizontal part, m, (N, 2)."""
+        return rotate_back(self.platform_rotation, self.position - self.platform_position)[:, :2]
 
-    body: Tensor
-    joint: Tensor
-    platform: Tensor
-    platform_angular: Tensor
+    @cached_property
+    def relative_yaw(self) -> Tensor:
+        """Heading of the body relative to the platform, rad, (N, 1)."""
+        return wrap(self.euler[:, 2:] - self.platform_euler[:, 2:])
 
 
 class StateReader:
@@ -107,89 +117,80 @@ class StateReader:
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
         layout = engine.scene.layout
-        self._joint_qpos = torch.as_tensor(layout.joint_qpos, dtype=torch.long)
-        self._joint_dof = torch.as_tensor(layout.joint_dof, dtype=torch.long)
-        self._actuators = torch.as_tensor(layout.actuators, dtype=torch.long)
-        self._tilt_qpos = torch.as_tensor(layout.tilt_qpos, dtype=torch.long)
-        self._tilt_dof = torch.as_tensor(layout.tilt_dof, dtype=torch.long)
+        self._root_qpos, self._root_dof = (slice(start, start + 3) for start in (layout.root_qpos, layout.root_dof))
+        self._joint_qpos, self._joint_dof = columns(layout.joint_qpos), columns(layout.joint_dof)
+        self._planar_qpos, self._planar_dof = columns(layout.planar_qpos), columns(layout.planar_dof)
+        self._tilt_qpos, self._tilt_dof = columns(layout.tilt_qpos), columns(layout.tilt_dof)
+        self._actuators = columns(layout.actuators)
         design = engine.scene.transporter.design  # both from hinge angles: (n, 2) @ (2, 2)
         self._driving, self._attitude = torch.tensor(design.driving).T, torch.tensor(design.attitude).T
-        self._previous = self._velocities(*self._simulation(slice(None)))
+        qpos, qvel = self._simulation(slice(None))
+        self._sizes = (3, 3, 3, len(layout.joint_dof))
+        self._previous = self._velocities(qvel, self._platform_euler(qpos))
 
     def forget(self, rows: Rows = slice(None)) -> None:
         """Starts the differences of ``rows`` anew from the present state (after a reset or the like)."""
-        self._remember(rows, self._velocities(*self._simulation(rows)))
-
-    def _remember(self, rows: Rows, velocities: Velocities) -> None:
-        for name, value in vars(velocities).items():
-            getattr(self._previous, name)[rows] = value
+        qpos, qvel = self._simulation(rows)
+        self._previous[rows] = self._velocities(qvel, self._platform_euler(qpos))
 
     def _simulation(self, rows: Rows) -> tuple[Tensor, Tensor]:
         """``qpos`` and ``qvel`` of ``rows``, cast once."""
         return _float(self.engine.qpos[rows]), _float(self.engine.qvel[rows])
 
-    def _velocities(self, qpos: Tensor, qvel: Tensor) -> Velocities:
-        layout = self.engine.scene.layout
-        root, planar = layout.root_dof, int(layout.planar_dof[0])
-        return Velocities(
-            body=qvel[:, root : root + 3],
-            joint=qvel[:, self._joint_dof],
-            platform=torch.cat([qvel[:, planar : planar + 2], qvel.new_zeros(len(qvel), 1)], -1),
-            platform_angular=self._platform_angular_velocity(qpos, qvel),
-        )
+    def _platform_euler(self, qpos: Tensor) -> Tensor:
+        """Roll, pitch and yaw of P, (n, 3)."""
+        pitch_and_roll = qpos[:, self._tilt_qpos] @ self._attitude
+        return torch.cat([pitch_and_roll.flip(-1), qpos[:, self._planar_qpos][:, 2:]], -1)
 
-    def _platform_angular_velocity(self, qpos: Tensor, qvel: Tensor) -> Tensor:
-        """Of P, world frame, from its rates: yaw, then pitch, then roll."""
-        layout = self.engine.scene.layout
-        yaw, pitch = qpos[:, int(layout.planar_qpos[2])], (qpos[:, self._tilt_qpos] @ self._attitude)[:, 0]
-        pitch_rate, roll_rate = (qvel[:, self._tilt_dof] @ self._attitude).unbind(-1)
-        x, y, z = torch.cos(pitch) * roll_rate, pitch_rate, -torch.sin(pitch) * roll_rate
-        cos, sin = torch.cos(yaw), torch.sin(yaw)
-        return torch.stack([cos * x - sin * y, sin * x + cos * y, z + qvel[:, int(layout.planar_dof[2])]], -1)
+    def _velocities(self, qvel: Tensor, euler: Tensor) -> Tensor:
+        """What the next state differentiates, (n, 9 + 12): v_B, v_P, ω_P (P's attitude is ``euler``), q̇."""
+        planar = qvel[:, self._planar_dof]
+        rates = torch.cat([(qvel[:, self._tilt_dof] @ self._attitude).flip(-1), planar[:, 2:]], -1)
+        platform = planar * planar.new_tensor([1.0, 1.0, 0.0])  # it keeps its height
+        turning = angular_velocity(euler, rates)
+        return torch.cat([qvel[:, self._root_dof], platform, turning, qvel[:, self._joint_dof]], -1)
 
     def read(self, rows: Rows = slice(None), anew: bool = False) -> RidingState:
         """The state of ``rows`` now; accelerations are differences to their previous reading, or zero ``anew``."""
-        engine, layout = self.engine, self.engine.scene.layout
+        engine, sensors = self.engine, self.engine.scene.layout.sensors
         qpos, qvel = self._simulation(rows)
-        sensors = _float(engine.sensordata[rows])
-        now = self._velocities(qpos, qvel)
-        if anew:
-            self._remember(rows, now)
-        rates = {name: (value - getattr(self._previous, name)[rows]) / CONTROL_DT for name, value in vars(now).items()}
-        self._remember(rows, now)
-        root, planar = layout.root_qpos, int(layout.planar_qpos[0])
-        hinges = qpos[:, self._tilt_qpos]
-        pitch, roll = (hinges @ self._attitude).unbind(-1)
-        yaw = qpos[:, planar + 2]
-        rotation = matrix_from_quaternion(qpos[:, root + 3 : root + 7])
+        sensed = _float(engine.sensordata[rows])
+        platform_euler = self._platform_euler(qpos)
+        now = self._velocities(qvel, platform_euler)
+        rates = torch.zeros_like(now) if anew else (now - self._previous[rows]) / CONTROL_DT
+        self._previous[rows] = now
+        velocity, platform_velocity, platform_turning, joint_velocity = now.split(self._sizes, -1)
+        acceleration, platform_acceleration, platform_twist, joint_acceleration = rates.split(self._sizes, -1)
+        rotation = matrix_from_quaternion(qpos[:, self._root_qpos.stop : self._root_qpos.stop + 4])
         # contact sensors give the force on the deck; the feet feel the opposite
-        foot_force = sensors[:, layout.sensors["foot_force"]].neg().unflatten(-1, (-1, 3))
-        robot_force = sensors[:, layout.sensors["robot_force"]].neg()
+        foot_force = sensed[:, sensors["foot_force"]].neg().unflatten(-1, (-1, 3))
+        platform_position = qpos[:, self._planar_qpos].clone()
+        platform_position[:, 2] = DECK_HEIGHT
         return RidingState(
-            position=qpos[:, root : root + 3],
-            velocity=now.body,
-            acceleration=rates["body"],
+            position=qpos[:, self._root_qpos],
+            velocity=velocity,
+            acceleration=acceleration,
             rotation=rotation,
             euler=euler_from_matrix(rotation),
-            angular_velocity=qvel[:, layout.root_dof + 3 : layout.root_dof + 6],
+            angular_velocity=qvel[:, self._root_dof.stop : self._root_dof.stop + 3],
             joint_position=qpos[:, self._joint_qpos],
-            joint_velocity=now.joint,
-            joint_acceleration=rates["joint"],
+            joint_velocity=joint_velocity,
+            joint_acceleration=joint_acceleration,
             torque=_float(engine.actuator_force[rows])[:, self._actuators],
-            platform_position=torch.cat([qpos[:, planar : planar + 2], torch.full_like(qpos[:, :1], DECK_HEIGHT)], -1),
-            platform_velocity=now.platform,
-            platform_acceleration=rates["platform"],
-            platform_rotation=matrix_from_euler(roll, pitch, yaw),
-            platform_euler=torch.stack([roll, pitch, yaw], -1),
-            driving_tilt=hinges @ self._driving,
-            platform_angular_velocity=now.platform_angular,
-            platform_angular_acceleration=rates["platform_angular"],
+            platform_position=platform_position,
+            platform_velocity=platform_velocity,
+            platform_acceleration=platform_acceleration,
+            platform_rotation=matrix_from_euler(*platform_euler.unbind(-1)),
+            platform_euler=platform_euler,
+            driving_tilt=qpos[:, self._tilt_qpos] @ self._driving,
+            platform_angular_velocity=platform_turning,
+            platform_angular_acceleration=platform_twist,
             speeds=_float(engine.speeds[rows]),
             driven_acceleration=_float(engine.driven_acceleration(rows)),
-            foot_position=sensors[:, layout.sensors["foot_position"]].unflatten(-1, (-1, 3)),
+            foot_position=sensed[:, sensors["foot_position"]].unflatten(-1, (-1, 3)),
             foot_force=foot_force,
-            other_force=robot_force - foot_force.sum(-2),
-            com=sensors[:, layout.sensors["com"]],
+            other_force=-sensed[:, sensors["robot_force"]] - foot_force.sum(-2),
+            com=sensed[:, sensors["com"]],
         )
 
 

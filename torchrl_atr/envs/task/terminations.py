@@ -7,7 +7,6 @@ from torch import Tensor
 
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.task.observations import relative_position
 from torchrl_atr.envs.task.state import RidingState
 
 
@@ -25,8 +24,7 @@ def fallen(state: RidingState, scene: Scene, readings: Readings) -> Tensor:
     """
     length, width, thickness = scene.transporter.size
     tilted = (state.euler[:, :2].abs() > readings.tilt_limit).any(-1)
-    offset = relative_position(state).abs()
-    off_deck = (offset > offset.new_tensor([length / 2, width / 2])).any(-1)
+    off_deck = (state.relative_position.abs() > torch.tensor([length / 2, width / 2])).any(-1)
     height = state.position[:, 2] - state.platform_position[:, 2] - thickness / 2
-    finite = torch.isfinite(state.position).all(-1) & torch.isfinite(state.joint_velocity).all(-1)
+    finite = torch.isfinite(state.position.sum(-1) + state.joint_velocity.sum(-1))
     return tilted | off_deck | (height < scene.robot.min_height) | ~finite
