@@ -1,24 +1,25 @@
 """How many minutes and robot steps of training a skill takes: A1 on the single board, from scratch, several seeds.
 
 ``python -m benchmarks.time_to_skill`` trains with the default recipe until the deployed policy meets the bar. It is
-evaluated every few minutes, as ``torchrl-atr evaluate`` does it, which is not part of the training time.
+evaluated every few minutes, as ``torchrl-atr evaluate`` does it, which is not part of the training time. Three seeds take
+hours: stopped and called again, it goes on where it was.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
-import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks import results
-from torchrl_atr._files import say
+from torchrl_atr._files import say, write_json
 from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics
-from torchrl_atr.training import DEPLOYED, TrainConfig, Trainer, make_config, make_env
+from torchrl_atr.training import DEPLOYED, TrainConfig, Trainer, load_checkpoint, make_config, make_env
+from torchrl_atr.training.checkpoint import NAME
 from torchrl_atr.training.provenance import cores, machine
 
 BAR = {"survival": (0.97, 1.0), "settled_speed_error": (0.0, 0.30), "settled_yaw_error": (0.0, 0.25)}
@@ -59,7 +60,7 @@ def evaluate(trainer: Trainer, config: TrainConfig, robots_per_command: int) -> 
 
 
 def train_until(config: TrainConfig, folder: Path, every: float, robots_per_command: int) -> list[dict[str, Any]]:
-    """Trains until the bar is met or the run ends.
+    """Trains until the bar is met or the run ends; goes on with the run in ``folder`` if there is one.
 
     Args:
         config: ``max_minutes`` limits the run.
@@ -70,14 +71,19 @@ def train_until(config: TrainConfig, folder: Path, every: float, robots_per_comm
     Returns:
         ``minutes``, ``frames`` and figures of every evaluation; the last one met the bar, or the run ended.
     """
-    trainer = Trainer(config, folder)
-    tried: list[dict[str, Any]] = []
+    notes = folder / "evaluations.json"
+    state = load_checkpoint(folder) if (folder / NAME).exists() else None
+    tried: list[dict[str, Any]] = json.loads(notes.read_text()) if state is not None and notes.exists() else []
+    trainer = Trainer(config, folder, state)
+    if tried and (meets(tried[-1]) or trainer.finished):
+        return tried
 
     def check(metrics: dict[str, float]) -> bool:
         if metrics["minutes"] < every * (len(tried) + 1) and not trainer.finished:
             return False
         figures = evaluate(trainer, config, robots_per_command)
         tried.append({"minutes": metrics["minutes"], "frames": int(metrics["frames"]), **figures})
+        write_json(notes, tried)
         say(f"seed {config.seed}: {tried[-1]}")
         return meets(figures)
 
@@ -93,7 +99,7 @@ def table(report: dict[str, Any]) -> str:
     lines = [
         "# Time to skill",
         "",
-        f"`{report['command']}`: {report['wall_seconds'] / 60:.0f} minutes on {cores(report['hardware'])}.",
+        f"`{report['command']}`, on {cores(report['hardware'])}.",
         "",
         "The bar, deployed, over |c_v| <= 2 m/s and |c_ω| <= 1 rad/s: at least 97% up after 10 s, settled errors of at "
         f"most 0.30 m/s and 0.25 rad/s. {len(skilled)} of {len(runs)} seeds met it.",
@@ -113,26 +119,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Trains all seeds and writes ``time_to_skill.json`` and ``README.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.time_to_skill", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/time_to_skill"), metavar="FOLDER")
+    parser.add_argument("--runs", type=Path, default=Path("runs/time_to_skill"), metavar="FOLDER", help="to go on from")
     parser.add_argument("--minutes", type=float, default=60.0, help="of training, at most, for each seed")
     parser.add_argument("--every", type=float, default=5.0, help="minutes between evaluations")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--num-envs", type=int, default=TrainConfig.num_envs)
     parser.add_argument("--robots-per-command", type=int, default=8)
     arguments = parser.parse_args(argv)
-    started, runs = time.monotonic(), []
-    with tempfile.TemporaryDirectory() as folder:
-        for seed in range(arguments.seeds):
-            values = {"seed": seed, "max_minutes": arguments.minutes, "num_envs": arguments.num_envs}
-            config, run = make_config(values), Path(folder) / str(seed)
-            runs.append(train_until(config, run, arguments.every, arguments.robots_per_command))
-    report = {
-        "command": f"python -m benchmarks.time_to_skill --minutes {arguments.minutes:g} --every {arguments.every:g} "
-        f"--seeds {arguments.seeds} --num-envs {arguments.num_envs}",
-        "wall_seconds": round(time.monotonic() - started, 1),
-        "runs": runs,
-        **machine(),
-    }
-    results.write(arguments.output, "time_to_skill", report, table(report))
+    runs = []
+    for seed in range(arguments.seeds):
+        config = make_config({"seed": seed, "max_minutes": arguments.minutes, "num_envs": arguments.num_envs})
+        folder = arguments.runs / str(seed)
+        runs.append(train_until(config, folder, arguments.every, arguments.robots_per_command))
+        report = {
+            "command": f"python -m benchmarks.time_to_skill --minutes {arguments.minutes:g} --every {arguments.every:g} "
+            f"--seeds {arguments.seeds} --num-envs {arguments.num_envs}",
+            "runs": runs,
+            **machine(),
+        }
+        results.write(arguments.output, "time_to_skill", report, table(report))
     return 0
 
 

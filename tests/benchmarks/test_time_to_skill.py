@@ -16,8 +16,12 @@ def small_grid(monkeypatch):
     monkeypatch.setattr(time_to_skill, "GRID", (2.0, 1.0, 2.0, 1.0))
 
 
+def arguments(folder):
+    return [*TINY, "--output", str(folder), "--runs", str(folder / "runs")]
+
+
 def test_nobody_is_skilled_after_three_seconds(tmp_path, small_grid):
-    assert time_to_skill.main([*TINY, "--output", str(tmp_path)]) == 0
+    assert time_to_skill.main(arguments(tmp_path)) == 0
     (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
     assert len(run) >= 2
     assert run[-1]["minutes"] >= 0.05
@@ -27,7 +31,29 @@ def test_nobody_is_skilled_after_three_seconds(tmp_path, small_grid):
 
 def test_a_run_that_meets_the_bar_ends(tmp_path, small_grid, monkeypatch):
     monkeypatch.setattr(time_to_skill, "BAR", {"survival": (0.0, 1.0)})
-    assert time_to_skill.main([*TINY, "--output", str(tmp_path)]) == 0
+    assert time_to_skill.main(arguments(tmp_path)) == 0
     (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
     assert len(run) == 1
     assert "1 of 1 seeds met it" in (tmp_path / "README.md").read_text()
+
+
+def test_a_run_that_was_stopped_goes_on(tmp_path, small_grid, monkeypatch):
+    evaluate, stops = time_to_skill.evaluate, iter([None, KeyboardInterrupt])
+
+    def stopping(*given):
+        if stop := next(stops, None):
+            raise stop
+        return evaluate(*given)
+
+    monkeypatch.setattr(time_to_skill, "evaluate", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        time_to_skill.main(arguments(tmp_path))
+    first = json.loads((tmp_path / "runs" / "0" / "evaluations.json").read_text())
+    assert len(first) == 1
+    assert time_to_skill.main(arguments(tmp_path)) == 0
+    (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
+    assert run[0] == first[0]
+    assert len(run) > 1
+    again = (tmp_path / "runs" / "0" / "progress.csv").read_bytes()
+    assert time_to_skill.main(arguments(tmp_path)) == 0  # nothing is left to do
+    assert (tmp_path / "runs" / "0" / "progress.csv").read_bytes() == again

@@ -225,8 +225,8 @@ class RidingEnv(EnvBase):
         return command.to(torch.float32)
 
     def _pack(self, observed: dict[Any, Tensor], terminated: Tensor, terms: dict[str, Tensor] | None) -> TensorDict:
-        terminated = terminated.unsqueeze(-1)
-        terms = terms or {name: torch.zeros(terminated.shape) for name in rewards.REWARD_TERMS}
+        terminated, names = terminated.unsqueeze(-1), rewards.REWARD_TERMS
+        terms = terms or dict(zip(names, torch.zeros(len(terminated), len(names)).split(1, -1)))
         flags = {
             "terminated": terminated,
             "truncated": torch.zeros_like(terminated),
