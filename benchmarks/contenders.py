@@ -120,7 +120,8 @@ def _collected(
         frames_per_batch=size * steps,
         total_frames=-1,
         exploration_type=ExplorationType.DETERMINISTIC,
-        track_traj_ids=False,  # as in training
+        track_traj_ids=False,  # as in training, like the next
+        return_same_td=True,
         trust_policy=True,  # a plain function may be a policy
         auto_register_policy_transforms=False,
     )

@@ -1,8 +1,8 @@
 """How many minutes and robot steps of training a skill takes: A1 on the single board, from scratch, several seeds.
 
 ``python -m benchmarks.time_to_skill`` trains with the default recipe until the deployed policy meets the bar. It is
-evaluated every few minutes, as ``torchrl-atr evaluate`` does it, which is not part of the training time. Three seeds take
-hours: stopped and called again, it goes on where it was.
+evaluated every few minutes, as ``torchrl-atr evaluate`` does it, which is not part of the training time. Three seeds
+take hours: stopped and called again, it goes on where it was.
 """
 
 from __future__ import annotations
@@ -132,8 +132,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         folder = arguments.runs / str(seed)
         runs.append(train_until(config, folder, arguments.every, arguments.robots_per_command))
         report = {
-            "command": f"python -m benchmarks.time_to_skill --minutes {arguments.minutes:g} --every {arguments.every:g} "
-            f"--seeds {arguments.seeds} --num-envs {arguments.num_envs}",
+            "command": f"python -m benchmarks.time_to_skill --minutes {arguments.minutes:g} "
+            f"--every {arguments.every:g} --seeds {arguments.seeds} --num-envs {arguments.num_envs}",
             "runs": runs,
             **machine(),
         }

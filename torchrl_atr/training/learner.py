@@ -107,7 +107,7 @@ class Learner:
             TrainingDiverged: if there is none that is finite any more.
         """
         with torch.no_grad():
-            batch = self.advantage(batch.to(self.config.device))
+            batch = self.advantage(_moved(batch, torch.device(self.config.device)))
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
             chatter = float((batch["loc"] - batch["previous_mean"]).square().mean().sqrt())
         flat = batch.reshape(-1)
@@ -170,8 +170,9 @@ class Learner:
 
     @staticmethod
     def _average(steps: Iterator[TensorDictBase]) -> dict[str, float]:
-        terms = [{str(key): float(value.detach().mean()) for key, value in step.items()} for step in steps]
-        return {key: sum(term[key] for term in terms) / len(terms) for key in terms[0]}
+        terms = [step.detach().apply(torch.mean) for step in steps]
+        means = torch.stack([torch.stack(list(term.values())) for term in terms]).mean(0)
+        return dict(zip(map(str, terms[0].keys()), means.tolist()))  # one transfer
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that training changes here: networks, optimisers, schedule."""
@@ -191,6 +192,11 @@ class Learner:
         self.schedule.load_state_dict(state["schedule"])
         self.loss.roa_coeff = state["roa_coeff"]
         self.guard.skipped = state.get("skipped_steps", 0)
+
+
+def _moved(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
+    """The batch on ``device``, to a GPU from pinned memory and without waiting."""
+    return batch.to(device, non_blocking_pin=True) if device.type == "cuda" else batch.to(device)
 
 
 def _kl_divergence(terms: TensorDictBase) -> Tensor:

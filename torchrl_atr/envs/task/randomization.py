@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -96,13 +97,20 @@ def sample_intrinsics(n: int, joints: int, randomization: Randomization, generat
     """
     if randomization not in RANDOMIZATIONS:
         raise ValueError(f"unknown randomization {randomization!r}; choose one of {', '.join(RANDOMIZATIONS)}")
+    low, high = _scaled_ranges(joints, randomization)
+    return low + (high - low) * torch.rand(n, len(low), generator=generator)
+
+
+@cache
+def _scaled_ranges(joints: int, randomization: Randomization) -> tuple[Tensor, Tensor]:
+    """Ends of x_int's range, (34,) each."""
     slices = intrinsic_slices(joints)
     low, high = torch.empty(2, sum(s.stop - s.start for s in slices.values()))
     for name, parameter in INTRINSICS.items():
         bounds = (parameter.nominal,) * 2 if randomization == "off" else getattr(parameter, randomization)
         ends = parameter.scaled(torch.tensor(bounds))
         low[slices[name]], high[slices[name]] = ends[0], ends[1]
-    return low + (high - low) * torch.rand(n, len(low), generator=generator)
+    return low, high
 
 
 def physical_parameters(x_int: Tensor, scene: Scene, readings: Readings) -> PhysicalParameters:
