@@ -88,6 +88,20 @@ def test_a_fallen_trial_is_outside_every_threshold(evaluate):
     assert set(command_area(fallen, [0.0, 100.0])["settled"]["combined"]) == {0.0}
 
 
+def test_a_command_is_mastered_if_most_of_its_robots_stay_up_and_settle_near_it(evaluate):
+    result = evaluate(lambda command: command, commands=([0.0, 1.0], [0.0, 0.5]), robots=3)
+    falls, speed, yaw = (
+        np.array(value) for value in (result.fall_time, result.settled_speed_error, result.settled_yaw_error)
+    )
+    falls[0, 0, :2] = 1.9  # two of three
+    speed[0, 1, 0] = 0.51  # one of three
+    yaw[1, 1, :2] = 0.31
+    changed = replace(result, fall_time=falls, settled_speed_error=speed, settled_yaw_error=yaw)
+    assert tracking_metrics(result)["commands_mastered"] == 1.0
+    assert tracking_metrics(changed)["commands_mastered"] == 0.5
+    assert tracking_metrics(changed)["do_nothing"]["commands_mastered"] == 0.25
+
+
 def test_the_area_is_of_the_box(evaluate):
     area = command_area(evaluate(lambda command: command))
     assert area["total"] == pytest.approx(3.0 * 1.0)

@@ -18,6 +18,7 @@ _HEADLINES = (
     "settled_speed_error",
     "settled_yaw_error",
     "yaw_slope",
+    "commands_mastered",
 )
 
 

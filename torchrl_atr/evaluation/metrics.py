@@ -17,6 +17,8 @@ EPSILONS: tuple[float, ...] = tuple(round(0.05 * i, 2) for i in range(21))
 """Error thresholds of the command area, m/s and rad/s."""
 STRAIGHT_SPEED, STEERING_YAW = 2.0, 1.0
 """Largest |c_v| of ``settled_speed_error_straight`` (c_ω = 0) and largest |c_ω| of ``yaw_slope``."""
+MASTERED = (0.5, 0.3)
+"""Largest settled errors at which a command counts as ridden, m/s and rad/s."""
 _TOLERANCE = 1e-6
 
 
@@ -27,7 +29,8 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
     ``settled_yaw_error`` (rad/s), means over the survivors of all commands; ``settled_speed_error_straight``,
     the same over |c_v| <= 2 at c_ω = 0; ``rms_speed_error`` and ``rms_yaw_error``, means over all trials, up
     to the fall; ``yaw_slope``, the regression slope (with intercept) of settled ω on c_ω over survivors with
-    |c_ω| <= 1, and ``yaw_slope_by_speed``; ``command_area`` (:func:`command_area`); ``do_nothing``, the same
+    |c_ω| <= 1, and ``yaw_slope_by_speed``; ``commands_mastered``, the share of the commands at which most robots
+    stay up and settle within :data:`MASTERED`; ``command_area`` (:func:`command_area`); ``do_nothing``, the same
     figures for a board that never moves; ``estimator_errors`` (Table V). What has no value (no survivors, a
     single yaw command) is None.
 
@@ -82,6 +85,7 @@ def _figures(result: TrackingResult, epsilons: Sequence[float]) -> dict[str, Any
         return regression_slope(yaw[chosen], result.settled_yaw_rate[chosen])
 
     rows = enumerate(result.speed_commands)
+    near = (result.settled_speed_error <= MASTERED[0]) & (result.settled_yaw_error <= MASTERED[1])
     return {
         "survival": float(up.mean()),
         "settled_speed_error": _mean(result.settled_speed_error[up]),
@@ -91,6 +95,7 @@ def _figures(result: TrackingResult, epsilons: Sequence[float]) -> dict[str, Any
         "rms_yaw_error": _mean(result.rms_yaw_error),
         "yaw_slope": slope(steering),
         "yaw_slope_by_speed": {f"{v:g}": slope(steering & _only(i, up.shape)) for i, v in rows},
+        "commands_mastered": float(((up & near).mean(-1) > 0.5).mean()),
         "command_area": command_area(result, epsilons),
     }
 
