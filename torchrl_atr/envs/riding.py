@@ -226,7 +226,7 @@ class RidingEnv(EnvBase):
 
     def _pack(self, observed: dict[Any, Tensor], terminated: Tensor, terms: dict[str, Tensor] | None) -> TensorDict:
         terminated, names = terminated.unsqueeze(-1), rewards.REWARD_TERMS
-        terms = terms or dict(zip(names, torch.zeros(len(terminated), len(names)).split(1, -1)))
+        terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape).unbind()))
         flags = {
             "terminated": terminated,
             "truncated": torch.zeros_like(terminated),

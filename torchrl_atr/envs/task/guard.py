@@ -22,7 +22,7 @@ def not_finite(values: Mapping[Any, Tensor]) -> dict[int, str]:
         >>> not_finite({"a": torch.ones(2, 3), "b": torch.tensor([[0.0], [float("nan")]])})
         {1: 'b'}
     """
-    if bool(torch.isfinite(torch.cat(list(values.values()), -1).sum())):
+    if bool(torch.isfinite(torch.cat([value.flatten() for value in values.values()]).sum())):
         return {}
     bad: dict[int, str] = {}
     for key, value in values.items():

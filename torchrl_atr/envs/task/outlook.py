@@ -30,4 +30,5 @@ def outlook(state: RidingState, command: Tensor) -> Tensor:
     error = state.speeds - command
     seconds = error.new_tensor(HORIZONS).unsqueeze(-1)  # (4, 1)
     ahead = tracking_kernel(error.unsqueeze(-2) + seconds * state.driven_acceleration.unsqueeze(-2)).flatten(-2)
-    return torch.cat([state.driving_tilt.flip(-1), state.driven_acceleration, error, ahead], -1)
+    forward, steering = state.driving_tilt.split(1, -1)
+    return torch.cat([steering, forward, state.driven_acceleration, error, ahead], -1)

@@ -200,7 +200,7 @@ def termination(c: RewardContext) -> Tensor:
     return TERMINATION * c.terminated.to(c.action.dtype)
 
 
-_AROUND = [0, 2, 3, 1]
+_AROUND = torch.tensor([0, 2, 3, 1])
 """FR, FL, RL, RR: counter-clockwise seen from above."""
 
 
@@ -220,9 +220,10 @@ def outside_polygon(point: Tensor, feet: Tensor, contacts: Tensor | None = None)
     Returns:
         (N,) 0 or 1.
     """
-    corners = feet[:, _AROUND]
+    corners = feet.index_select(1, _AROUND)
     if contacts is not None:  # one lifted foot moves onto the next: its edge shrinks to a point
-        corners = torch.where(contacts[:, _AROUND].unsqueeze(-1), corners, corners.roll(-1, dims=1))
+        lifted = ~contacts.index_select(1, _AROUND).unsqueeze(-1)
+        corners = torch.where(lifted, corners.roll(-1, dims=1), corners)
     edges = corners.roll(-1, dims=1) - corners
     to_point = point.unsqueeze(1) - corners
     cross = edges[..., 0] * to_point[..., 1] - edges[..., 1] * to_point[..., 0]
@@ -257,9 +258,8 @@ def compute_rewards(
     Returns:
         ``reward`` (N, 1) and the scaled terms by name, (N, 1) each; they add up to ``reward`` unless clipped.
     """
-    values = scale * torch.stack([term(context) for term in REWARD_TERMS.values()], -1)
-    terms = dict(zip(REWARD_TERMS, values.split(1, -1)))
-    total = values.sum(-1, keepdim=True)
+    values = scale * torch.stack([term(context) for term in REWARD_TERMS.values()]).unsqueeze(-1)
+    terms, total = dict(zip(REWARD_TERMS, values.unbind())), values.sum(0)
     if clip_to_positive:
         total = (total - terms["termination"]).clamp_min(0.0) + terms["termination"]
     return total, terms

@@ -123,7 +123,8 @@ class StateReader:
         self._tilt_qpos, self._tilt_dof = columns(layout.tilt_qpos), columns(layout.tilt_dof)
         self._actuators = columns(layout.actuators)
         design = engine.scene.transporter.design  # both from hinge angles: (n, 2) @ (2, 2)
-        self._driving, self._attitude = torch.tensor(design.driving).T, torch.tensor(design.attitude).T
+        self._driving = torch.tensor(design.driving).T
+        self._roll_and_pitch = torch.tensor(design.attitude).flip(0).T
         qpos, qvel = self._simulation(slice(None))
         self._sizes = (3, 3, 3, len(layout.joint_dof))
         self._previous = self._velocities(qvel, self._platform_euler(qpos))
@@ -139,13 +140,12 @@ class StateReader:
 
     def _platform_euler(self, qpos: Tensor) -> Tensor:
         """Roll, pitch and yaw of P, (n, 3)."""
-        pitch_and_roll = qpos[:, self._tilt_qpos] @ self._attitude
-        return torch.cat([pitch_and_roll.flip(-1), qpos[:, self._planar_qpos][:, 2:]], -1)
+        return torch.cat([qpos[:, self._tilt_qpos] @ self._roll_and_pitch, qpos[:, self._planar_qpos][:, 2:]], -1)
 
     def _velocities(self, qvel: Tensor, euler: Tensor) -> Tensor:
         """What the next state differentiates, (n, 9 + 12): v_B, v_P, ω_P (P's attitude is ``euler``), q̇."""
         planar = qvel[:, self._planar_dof]
-        rates = torch.cat([(qvel[:, self._tilt_dof] @ self._attitude).flip(-1), planar[:, 2:]], -1)
+        rates = torch.cat([qvel[:, self._tilt_dof] @ self._roll_and_pitch, planar[:, 2:]], -1)
         platform = planar * planar.new_tensor([1.0, 1.0, 0.0])  # it keeps its height
         turning = angular_velocity(euler, rates)
         return torch.cat([qvel[:, self._root_dof], platform, turning, qvel[:, self._joint_dof]], -1)
