@@ -1,8 +1,5 @@
 """Measurements of the library: speed, learning, robustness; run from a clone."""
 
-import os
+from torchrl_atr._environment import prepare_environment
 
-from torchrl_atr.cli import ENVIRONMENT
-
-for _name, _value in ENVIRONMENT.items():  # as the command line does it, before torch is imported
-    os.environ.setdefault(_name, _value)
+prepare_environment()  # as the command line does it

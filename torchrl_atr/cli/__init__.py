@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Sequence
 
+from torchrl_atr._environment import prepare_environment
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import explain
 from torchrl_atr.cli.commands import COMMANDS
 from torchrl_atr.cli.parser import build_parser, refuse
-
-ENVIRONMENT = {
-    "RL_LOGGING_LEVEL": "WARNING",
-    "GOMP_SPINCOUNT": "20000",  # between two operations torch's threads spin on CPUs that MuJoCo's then lack
-}
-"""Set unless they are, before a command imports torch and torchrl, which read them."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -23,8 +17,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments, unknown = build_parser().parse_known_args(argv)
     if unknown:
         refuse(arguments, unknown[0])
-    for name, value in ENVIRONMENT.items():
-        os.environ.setdefault(name, value)
+    prepare_environment()
     try:
         return COMMANDS[arguments.command](arguments) or 0
     except KeyboardInterrupt:
