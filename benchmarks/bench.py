@@ -45,8 +45,8 @@ class Plan:
     cpus: int = 0
     num_envs: int = 1024
     sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)
-    training_sizes: tuple[int, ...] = (512, 256, 1024)
-    steps: int = 12
+    training_sizes: tuple[int, ...] = (TrainConfig.num_envs, 256, 1024)
+    steps: int = TrainConfig.rollout_steps
     rounds: int = 5
     seconds: float = 0.5
     profiled: int = 8
@@ -89,7 +89,8 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
         makers += [partial(peer, plan.cpus) for peer in peers]
         threads = torch.get_num_threads()
         opened = [_opened(make, stack) for make in makers]
-        rates = interleave(opened, plan.rounds, plan.seconds, say, torch_threads=threads)
+        torch.set_num_threads(threads)  # TorchRL's ParallelEnv lowered it when it started
+        rates = interleave(opened, plan.rounds, plan.seconds, say)
         say("profiling")
         flops, phases = flops_per_frame(loops[0]), profile(loops[0], plan.profiled)
     results |= _figures(plan, rates, flops)

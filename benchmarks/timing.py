@@ -47,30 +47,24 @@ def rate(step: Callable[[], int], seconds: float) -> float:
 
 
 def interleave(
-    contenders: Sequence[Contender],
-    rounds: int,
-    seconds: float,
-    report: Callable[[str], None] = lambda line: None,
-    torch_threads: int | None = None,
+    contenders: Sequence[Contender], rounds: int, seconds: float, report: Callable[[str], None] = lambda line: None
 ) -> Rates:
     """Samples every contender once a round, after one untimed step each.
 
-    torch computes with ``torch_threads``, but never with more than the contender's.
+    torch computes with as many threads as are set now, but never with more than the contender's.
 
     Args:
         contenders: with different keys.
         rounds: samples of each.
         seconds: least time of a sample.
         report: is told what goes on.
-        torch_threads: what torch would choose by itself; None for what is set now, which TorchRL's ``ParallelEnv``
-            lowers when it starts.
 
     Example:
         >>> rates = interleave([Contender(Key("nothing", 1, 1), lambda: 1)], rounds=3, seconds=0.0)
         >>> len(rates["nothing", 1, 1])
         3
     """
-    chosen = torch_threads or torch.get_num_threads()
+    chosen = torch.get_num_threads()
     rates: Rates = {contender.key: [] for contender in contenders}
     try:
         for number in range(rounds + 1):

@@ -25,7 +25,8 @@ _FROM_PRODUCTS = torch.tensor(
         [0, 0, 0, 0, 0, 0, 0, 0, 0],  # zx
         [0, 0, 0, 0, 0, 0, 0, 0, 0],  # zy
         [-1, 0, 0, 0, -1, 0, 0, 0, 1],  # zz
-    ]
+    ],
+    dtype=torch.float32,  # the state's: not converted at every step
 )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchrl_atr.envs.models.decks import DECK_HEIGHT
 from torchrl_atr.envs.models.scene import TIMESTEP, columns
@@ -146,7 +147,7 @@ class StateReader:
         """What the next state differentiates, (n, 9 + 12): v_B, v_P, ω_P (P's attitude is ``euler``), q̇."""
         planar = qvel[:, self._planar_dof]
         rates = torch.cat([qvel[:, self._tilt_dof] @ self._roll_and_pitch, planar[:, 2:]], -1)
-        platform = planar * planar.new_tensor([1.0, 1.0, 0.0])  # it keeps its height
+        platform = pad(planar[:, :2], (0, 1))  # it keeps its height
         turning = angular_velocity(euler, rates)
         return torch.cat([qvel[:, self._root_dof], platform, turning, qvel[:, self._joint_dof]], -1)
 
@@ -164,8 +165,6 @@ class StateReader:
         rotation = matrix_from_quaternion(qpos[:, self._root_qpos.stop : self._root_qpos.stop + 4])
         # contact sensors give the force on the deck; the feet feel the opposite
         foot_force = sensed[:, sensors["foot_force"]].neg().unflatten(-1, (-1, 3))
-        platform_position = qpos[:, self._planar_qpos].clone()
-        platform_position[:, 2] = DECK_HEIGHT
         return RidingState(
             position=qpos[:, self._root_qpos],
             velocity=velocity,
@@ -177,7 +176,7 @@ class StateReader:
             joint_velocity=joint_velocity,
             joint_acceleration=joint_acceleration,
             torque=_float(engine.actuator_force[rows])[:, self._actuators],
-            platform_position=platform_position,
+            platform_position=pad(qpos[:, self._planar_qpos][:, :2], (0, 1), value=DECK_HEIGHT),
             platform_velocity=platform_velocity,
             platform_acceleration=platform_acceleration,
             platform_rotation=matrix_from_euler(*platform_euler.unbind(-1)),
