@@ -58,16 +58,46 @@ def mirrored(data: TensorDict) -> TensorDict:
     return out
 
 
-def test_a_layer_commutes_with_reflections():
+@pytest.mark.parametrize(
+    ("inputs", "outputs"),
+    [
+        (reflection_of(5), halves_swapped(8)),
+        (halves_swapped(8), reflection_of(5)),
+        (reflection_of(5), reflection_of(4)),
+        (halves_swapped(4), torch.eye(3)),
+        (torch.eye(3), -torch.eye(2)),
+    ],
+    ids=["to hidden units", "from hidden units", "between entries", "to what is kept", "to what is negated"],
+)
+def test_a_layer_commutes_with_reflections(inputs, outputs):
     torch.manual_seed(0)
-    layer, x = SymmetricLinear(reflection_of(5), halves_swapped(8)), torch.randn(7, 5)
-    torch.testing.assert_close(layer(x @ reflection_of(5).T), layer(x).roll(4, -1))
-    assert not torch.allclose(layer(x), layer(x).roll(4, -1), atol=0.1)
+    layer, x = SymmetricLinear(inputs, outputs), torch.randn(7, len(inputs))
+    assert layer(x).shape == (7, len(outputs))
+    torch.testing.assert_close(layer(x @ inputs.T), layer(x) @ outputs.T)
 
 
-def test_a_layer_without_hidden_units_on_either_side_is_refused():
-    with pytest.raises(ValueError, match="swaps halves"):
-        SymmetricLinear(reflection_of(5), reflection_of(4))
+def test_a_layer_is_any_that_commutes_and_treats_sides_apart():
+    torch.manual_seed(0)
+    inputs, outputs = reflection_of(5), halves_swapped(8)
+    layer, x = SymmetricLinear(inputs, outputs), torch.randn(200, 5)
+    assert not torch.allclose(layer(x), layer(x) @ outputs.T, atol=0.1)
+    free, bias = torch.randn(8, 5), torch.randn(8)
+    wanted = x @ (free + outputs @ free @ inputs).T + bias + outputs @ bias
+    optimizer = torch.optim.LBFGS(layer.parameters(), max_iter=100, line_search_fn="strong_wolfe")
+
+    def loss():
+        optimizer.zero_grad()
+        value = (layer(x) - wanted).square().mean()
+        value.backward()
+        return value
+
+    optimizer.step(loss)
+    assert loss() < 1e-6
+
+
+def test_a_layer_holds_half_of_a_plain_ones_weights():
+    layer = SymmetricLinear(halves_swapped(64), halves_swapped(32))
+    assert sum(parameter.numel() for parameter in layer.parameters()) == 64 * 32 // 2 + 16
 
 
 def test_an_mlp_starts_with_outputs_as_large_as_a_plain_one():

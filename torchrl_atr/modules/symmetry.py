@@ -9,6 +9,7 @@ A reflection of an entry is a signed permutation matrix R, (D, D) with R R = 1: 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import torch
@@ -56,16 +57,15 @@ def halves_swapped(features: int) -> Tensor:
 class SymmetricLinear(nn.Module):
     """A linear layer with f(R x) = S f(x) for reflections R of its inputs and S of its outputs.
 
-    One of the two swaps the halves of hidden units (:func:`halves_swapped`), as every layer of :func:`symmetric_mlp`
-    has it. Then half of the weights are free and the others are their mirror image: [A, S A] where the inputs swap
-    halves, [A; A R] where the outputs do.
+    It maps the even part of its inputs, x + R x, to the even part of its outputs and the odd part, x - R x, to the odd
+    one: two small layers with half the weights and half the products of a plain layer.
 
     Args:
         inputs (Tensor): R, (in_features, in_features).
         outputs (Tensor): S, (out_features, out_features).
 
     Raises:
-        ValueError: if either is no reflection, or neither swaps halves.
+        ValueError: if either is no reflection.
 
     Examples:
         >>> layer = SymmetricLinear(torch.diag(torch.tensor([1.0, -1.0])), halves_swapped(4))
@@ -74,45 +74,84 @@ class SymmetricLinear(nn.Module):
         True
     """
 
-    order: Tensor
-    signs: Tensor
-    out_order: Tensor
-    out_signs: Tensor
-
     def __init__(self, inputs: Tensor, outputs: Tensor) -> None:
         super().__init__()
-        self.in_features, self.out_features = len(inputs), len(outputs)
-        inputs, outputs = (check_reflection(matrix, len(matrix)) for matrix in (inputs, outputs))
-        self.beside = _swaps_halves(inputs)  # the mirror image stands beside the free weights, else below them
-        if not self.beside and not _swaps_halves(outputs):
-            raise ValueError("a symmetric layer needs inputs or outputs whose reflection swaps halves")
-        free = nn.Linear(self.in_features, self.out_features)  # for its initial values
-        half = free.weight.chunk(2, 1 if self.beside else 0)[0]
-        self.weight, self.bias = nn.Parameter(half.detach().clone()), free.bias
-        for name, matrix in (("", outputs if self.beside else inputs), ("out_", outputs)):
-            order = matrix.abs().argmax(-1)
-            # saved with the weights, which mean something else to a plain layer
-            self.register_buffer(f"{name}order", order)
-            self.register_buffer(f"{name}signs", matrix.gather(-1, order[:, None])[:, 0])
+        self.inputs, self.outputs = _parity(inputs), _parity(outputs)
+        self.even = self._block(self.inputs.even, self.outputs.even, bias=True)
+        self.odd = self._block(self.inputs.odd, self.outputs.odd, bias=False)  # a constant has no odd part
+
+    def _block(self, inputs: int, outputs: int, bias: bool) -> nn.Linear | None:
+        """A layer between parts of one parity, None where there is nothing to map, as large at first as a plain one."""
+        if not inputs or not outputs:
+            return None
+        layer = nn.Linear(inputs, outputs, bias)
+        with torch.no_grad():
+            layer.weight /= self.inputs.gain * self.outputs.gain
+            if bias:
+                layer.bias /= self.outputs.gain
+        return layer
 
     def forward(self, x: Tensor) -> Tensor:
         """Map (*B, in_features) to (*B, out_features)."""
-        if self.beside:
-            mirrored = self.weight.index_select(0, self.order) * self.signs[:, None]
-        else:
-            mirrored = self.weight.index_select(1, self.order) * self.signs
-        weight = torch.cat([self.weight, mirrored], 1 if self.beside else 0)
-        bias = (self.bias + self.out_signs * self.bias[self.out_order]) / 2
-        return nn.functional.linear(x, weight, bias)
-
-    def extra_repr(self) -> str:
-        """As ``nn.Linear`` shows itself."""
-        return f"in_features={self.in_features}, out_features={self.out_features}"
+        even, odd = self.inputs.split(x)
+        return self.outputs.join(_apply(self.even, even, self.outputs.even), _apply(self.odd, odd, self.outputs.odd))
 
 
-def _swaps_halves(reflection: Tensor) -> bool:
-    size = len(reflection)
-    return size % 2 == 0 and torch.equal(reflection, halves_swapped(size))
+def _apply(block: nn.Linear | None, x: Tensor, features: int) -> Tensor:
+    return x.new_zeros(*x.shape[:-1], features) if block is None else block(x)
+
+
+class _Halves(nn.Module):
+    """Even and odd parts of units of which every left one, in the first half, has a right one in the second."""
+
+    gain = math.sqrt(2.0)
+    """How much larger both parts are than what they are made of."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.even = self.odd = features // 2
+
+    def split(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        left, right = x.chunk(2, -1)
+        return left + right, left - right
+
+    def join(self, even: Tensor, odd: Tensor) -> Tensor:
+        return torch.cat([even + odd, even - odd], -1)
+
+
+class _Parity(nn.Module):
+    """Even and odd parts under any reflection, by an orthonormal basis of what it keeps and of what it negates."""
+
+    gain = 1.0
+    basis: Tensor
+
+    def __init__(self, reflection: Tensor) -> None:
+        super().__init__()
+        one = torch.eye(len(reflection))
+        first = reflection.abs().argmax(-1) >= torch.arange(len(reflection))  # of a pair that changes places
+        even, odd = (_unit_columns((one + sign * reflection)[:, first]) for sign in (1, -1))
+        self.even, self.odd = even.shape[1], odd.shape[1]
+        # saved with the weights, which mean nothing in another basis
+        self.register_buffer("basis", torch.cat([even, odd], 1))
+
+    def split(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        even, odd = (x @ self.basis).split([self.even, self.odd], -1)
+        return even, odd
+
+    def join(self, even: Tensor, odd: Tensor) -> Tensor:
+        return torch.cat([even, odd], -1) @ self.basis.T
+
+
+def _unit_columns(matrix: Tensor) -> Tensor:
+    """The columns of a matrix that are not zero, at unit length."""
+    length = matrix.norm(dim=0)
+    return matrix[:, length > 0] / length[length > 0]
+
+
+def _parity(reflection: Tensor) -> _Halves | _Parity:
+    matrix, size = check_reflection(reflection, len(reflection)), len(reflection)
+    swaps_halves = size % 2 == 0 and torch.equal(matrix, halves_swapped(size))
+    return _Halves(size) if swaps_halves else _Parity(matrix)
 
 
 def join_reflections(*parts: Tensor | None) -> Tensor:

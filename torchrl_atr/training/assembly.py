@@ -48,6 +48,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "history_length": config.history_length,
         "max_steps": round(config.episode_seconds / CONTROL_DT),
         "window": round(config.command_seconds / CONTROL_DT),
+        "rest_share": config.rest_share,
         "thresholds": (config.tracking_threshold,) * 2,
         "score_from": round(config.score_from_seconds / CONTROL_DT),
         "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),

@@ -75,6 +75,7 @@ class TrainConfig:
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
+        rest_share: share of the commands that are drawn around c_v = 0, beside those that fall there anyway.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).
@@ -133,6 +134,7 @@ class TrainConfig:
     retry: float = 0.5
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
+    rest_share: float = 0.2
     tracking_threshold: float = 0.6
     score_from_seconds: float = 1.0
     count_own_twice: bool = False
@@ -240,6 +242,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "retry": (0, 1),
     "episode_seconds": (0.1, 1e6),
     "command_seconds": (0.1, 1e6),
+    "rest_share": (0, 1),
     "tracking_threshold": (0.01, 1),
     "score_from_seconds": (0, 1e6),
     "initial_speed": (_POSITIVE, 15.0),

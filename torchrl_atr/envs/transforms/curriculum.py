@@ -45,6 +45,8 @@ class CommandCurriculum(Transform):
         thresholds: Fraction of the maximum that each window mean must reach (gamma_v, gamma_omega).
         window: Steps that a command lasts (5 s at 50 Hz).
         score_from: Steps at the start of each window that are left out of the score.
+        rest_share: Share of the draws from the cells around c_v = 0, beside those that fall there anyway. Drawn evenly
+            from a wide grid they are rare, and hard: no pitch says which way a roll turns the deck (Eq. 3).
         grid: The cells and the update rule.
         rest_key: If given, an entry of the reset that is zero for rows which start at rest, ``(*B, 2)``: the first
             window of the others, who were given some of what is asked, is not scored.
@@ -52,7 +54,8 @@ class CommandCurriculum(Transform):
         seed: Seed of the transform's generator.
 
     Raises:
-        ValueError: Lengths differ, a maximum is not positive, or the window leaves nothing to score.
+        ValueError: Lengths differ, a maximum is not positive, the window leaves nothing to score, or a share is
+            outside [0, 1].
 
     Example:
         >>> curriculum = CommandCurriculum(tracking_max=(0.2, 0.1), seed=0)
@@ -73,6 +76,7 @@ class CommandCurriculum(Transform):
         thresholds: Sequence[float] = (0.8, 0.8),
         window: int = 250,
         score_from: int = 0,
+        rest_share: float = 0.0,
         grid: CommandGrid | None = None,
         rest_key: NestedKey | None = None,
         command_key: NestedKey = "command",
@@ -88,7 +92,10 @@ class CommandCurriculum(Transform):
             raise ValueError(f"tracking_max must be positive, finite numbers, got {tuple(tracking_max)}")
         if not 0 <= score_from < window:
             raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
+        if not 0 <= rest_share <= 1:
+            raise ValueError(f"rest_share={rest_share} is a share; choose a number in [0, 1]")
         self.grid = CommandGrid() if grid is None else grid
+        self.rest_share = float(rest_share)
         self.window, self.score_from = int(window), int(score_from)
         self.command_key, self.rest_key = unravel_key(command_key), rest_key
         self._generator = torch.Generator()
@@ -289,7 +296,8 @@ class CommandCurriculum(Transform):
         if len(index):
             # drawn on the CPU: the same commands on every device
             uniforms = torch.rand(len(index), 1 + len(self.grid.bounds), generator=self._generator, dtype=torch.float64)
-            commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
+            weights = self.grid.emphasise_rest(self.weights, self.rest_share) if self.rest_share else self.weights
+            commands, cells = self.grid.sample(weights, uniforms.to(self.weights.device))
             self.rows.command[index] = commands.to(self.rows.command.dtype)
             self.rows.cells[index] = cells
 
