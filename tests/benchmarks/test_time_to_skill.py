@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import time_to_skill
 
-TINY = ["--minutes", "0.05", "--every", "0.02", "--seeds", "1", "--num-envs", "8", "--robots-per-command", "1"]
+TINY = ["--minutes", "0.05", "--every", "0.02", "--seeds", "0", "--num-envs", "8", "--robots-per-command", "1"]
 
 
 @pytest.fixture
@@ -23,9 +23,11 @@ def arguments(folder):
 def test_nobody_is_skilled_after_three_seconds(tmp_path, small_grid):
     assert time_to_skill.main(arguments(tmp_path)) == 0
     (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
-    assert len(run) >= 2
-    assert run[-1]["minutes"] >= 0.05
-    assert run[0]["minutes"] < 0.05
+    evaluations = run["evaluations"]
+    assert len(evaluations) >= 2
+    assert evaluations[-1]["minutes"] >= 0.05
+    assert evaluations[0]["minutes"] < 0.05
+    assert run["hardware"]["cpus"] >= 1
     assert "0 of 1 seeds met it" in (tmp_path / "README.md").read_text()
 
 
@@ -33,7 +35,7 @@ def test_a_run_that_meets_the_bar_ends(tmp_path, small_grid, monkeypatch):
     monkeypatch.setattr(time_to_skill, "BAR", {"survival": (0.0, 1.0)})
     assert time_to_skill.main(arguments(tmp_path)) == 0
     (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
-    assert len(run) == 1
+    assert len(run["evaluations"]) == 1
     assert "1 of 1 seeds met it" in (tmp_path / "README.md").read_text()
 
 
@@ -52,8 +54,8 @@ def test_a_run_that_was_stopped_goes_on(tmp_path, small_grid, monkeypatch):
     assert len(first) == 1
     assert time_to_skill.main(arguments(tmp_path)) == 0
     (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
-    assert run[0] == first[0]
-    assert len(run) > 1
+    assert run["evaluations"][0] == first[0]
+    assert len(run["evaluations"]) > 1
     again = (tmp_path / "runs" / "0" / "progress.csv").read_bytes()
     assert time_to_skill.main(arguments(tmp_path)) == 0  # nothing is left to do
     assert (tmp_path / "runs" / "0" / "progress.csv").read_bytes() == again

@@ -232,7 +232,8 @@ class RidingEnv(EnvBase):
             "truncated": torch.zeros_like(terminated),
             "done": terminated.clone(),
         }
-        return TensorDict({**_nested(observed), "reward_terms": terms, **flags}, batch_size=self.batch_size)
+        entries = {**_nested(observed), "reward_terms": terms, **flags}
+        return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
     def get_state(self) -> TensorDict:
         """Everything :meth:`set_state` needs to continue from here bit for bit, on either engine."""

@@ -56,8 +56,8 @@ class TrainConfig:
         relative_std: exploration of what legs do against each other.
         min_std: floor of both.
         noise_correlation: of the exploration from one control step to the next, in [0, 1).
-        final_std: ceiling of the exploration at the end of the run, lowered linearly from ``init_std`` after
-            ``anneal_from`` of it.
+        final_std: ceiling of the exploration at the end of the run, lowered by the same factor a minute from ``init_std``
+            after ``anneal_from`` of it.
         anneal_from: share of the run, in [0, 1).
         smoothness_coeff: pull of the mean action towards that of the step before.
         roa_coeff: λ of Eq. 15.
@@ -115,8 +115,8 @@ class TrainConfig:
     relative_std: float = 0.1
     min_std: float = 0.03
     noise_correlation: float = 0.9
-    final_std: float = 0.1
-    anneal_from: float = 0.35
+    final_std: float = 0.04
+    anneal_from: float = 0.1
     smoothness_coeff: float = 0.3
     roa_coeff: float = 0.2
     roa_ramp: bool = False
@@ -135,7 +135,7 @@ class TrainConfig:
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
     rest_share: float = 0.2
-    tracking_threshold: float = 0.6
+    tracking_threshold: float = 0.7
     score_from_seconds: float = 1.0
     count_own_twice: bool = False
     initial_speed: float = 1.0
