@@ -11,7 +11,6 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.stopwatch import Stopwatch
 from benchmarks.timing import Contender, Key
-from torchrl_atr.modules import SymmetricLinear
 from torchrl_atr.training import TrainConfig, Trainer
 
 
@@ -60,7 +59,7 @@ def matrix_products(loop: TrainingLoop, threads: int) -> Contender:
     """
     networks, rows = loop.learner.networks, loop.learner.minibatch_size
     modules = [*networks.backbone.modules(), *networks.critic.modules()]
-    layers = [module for module in modules if isinstance(module, nn.Linear | SymmetricLinear)]
+    layers = [module for module in modules if isinstance(module, nn.Linear)]
     shapes = [(layer.in_features, layer.out_features) for layer in layers]
     operands = [(torch.randn(rows, i), torch.randn(i, o), torch.randn(rows, o)) for i, o in shapes]
     flops = sum(3 * 2 * rows * i * o for i, o in shapes)

@@ -29,6 +29,7 @@ def make_riding_env(
     retry: float = 0.0,
     seed: int | None = None,
     dump_dir: str | Path | None = None,
+    compiled: bool = False,
     history_length: int = 10,
     max_steps: int = 1000,
     window: int = 250,
@@ -51,6 +52,7 @@ def make_riding_env(
         retry: share of the falls after which the same robot tries again with its intrinsics (for training).
         seed: of env and curriculum alike, since ``env.set_seed`` does not reach transforms.
         dump_dir: where the last half second of a simulation that failed is written; None for nowhere.
+        compiled: see :class:`RidingEnv`.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
         window: control steps that a command lasts (5 s at 50 Hz).
@@ -79,6 +81,7 @@ def make_riding_env(
         retry=retry,
         seed=seed,
         dump_dir=dump_dir,
+        compiled=compiled,
     )
     scale = reward_scale(env.readings)
     transforms = riding_transforms(

@@ -52,6 +52,9 @@ class RidingEnv(EnvBase):
         seed: of intrinsics, initial states and pushes.
         dump_dir: where the last half second of a simulation that failed is written, for ``torchrl-atr replay``; None
             for nowhere.
+        compiled: whether ``torch.compile`` makes one kernel of observations, rewards and terminations. Then the first
+            step takes half a minute (seconds, where torch has the result on disk) and the others less; needs a C++
+            compiler.
 
     A simulation that diverges, or an observation or reward that is not finite, ends that robot's episode as terminated,
     with zeros where there was no number, and is counted and logged; the others do not notice.
@@ -59,8 +62,8 @@ class RidingEnv(EnvBase):
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
         RobotError: for a robot that cannot ride as it is described.
-        ValueError: for an impossible ``num_envs``, ``physics``, ``randomization`` or ``seed``, and for an action or
-            a command that is misshapen or not finite.
+        ValueError: for an impossible ``num_envs``, ``physics``, ``randomization`` or ``seed``, for ``compiled`` without
+            a compiler, and for an action or a command that is misshapen or not finite.
         KeyError: if a step lacks the action.
 
     Keys: ``action`` (N, 12) and ``command`` (N, 2) in; ``proprio`` (N, 44), ``command``, ``observation``
@@ -91,6 +94,7 @@ class RidingEnv(EnvBase):
         retry: float = 0.0,
         seed: int | None = None,
         dump_dir: str | Path | None = None,
+        compiled: bool = False,
     ) -> None:
         if not isinstance(num_envs, int) or num_envs < 1:
             raise InputError(f"num_envs={num_envs!r}: choose a whole number of robots, 1 or more")
@@ -106,7 +110,7 @@ class RidingEnv(EnvBase):
         else:
             self.set_seed(seed)
         engine = _make_engine(physics, scene, readings, num_envs, num_threads)
-        self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start, retry)
+        self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start, retry, compiled)
         self._recorder = None
         if dump_dir is not None:
             self._recorder = FlightRecorder(self.task, describe_scene(self.task, robot), Path(dump_dir))
@@ -189,7 +193,7 @@ class RidingEnv(EnvBase):
             self._recorder.note(action)
         self.engine.advance(DECIMATION)
         outcome = self.task.judge(command)
-        self._emitted = self.task.observe(command, outcome.state)
+        self._emitted = outcome.observed
         self._contain(outcome)
         return self._pack(self._emitted, outcome.terminated, outcome.terms).set("reward", outcome.reward)
 

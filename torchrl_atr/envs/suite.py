@@ -124,8 +124,7 @@ class SuiteTask(control.Task):
 
     def get_observation(self, physics: RidingPhysics) -> dict[str, NDArray[np.float32]]:
         """Flat names, one array each."""
-        state = None if self._outcome is None else self._outcome.state
-        observed = self.core.observe(self._command, state)
+        observed = self.core.observe(self._command) if self._outcome is None else self._outcome.observed
         return {_flat(key): value[0].numpy().copy() for key, value in observed.items()}
 
     def get_reward(self, physics: RidingPhysics) -> float:

@@ -86,9 +86,9 @@ class SymmetricLinear(nn.Module):
             return None
         layer = nn.Linear(inputs, outputs, bias)
         with torch.no_grad():
-            layer.weight /= self.inputs.gain * self.outputs.gain
+            layer.weight.div_(self.inputs.gain * self.outputs.gain)
             if bias:
-                layer.bias /= self.outputs.gain
+                layer.bias.div_(self.outputs.gain)
         return layer
 
     def forward(self, x: Tensor) -> Tensor:

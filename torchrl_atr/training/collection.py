@@ -160,8 +160,11 @@ class Collection:
 
     def _spread(self) -> None:
         if self.callable:
-            arguments = [(self.curriculum.weights.clone(),)] * self.config.workers
-            self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
+            for method, value in (
+                ("load_weights", self.curriculum.weights.clone()),
+                ("set_rest_share", self.curriculum.rest_share),
+            ):
+                self.collector.map_fn(f"{_CURRICULUM}.{method}", list_of_args=[(value,)] * self.config.workers)
 
     @property
     def num_diverged(self) -> int | None:

@@ -43,6 +43,7 @@ class TrainConfig:
         seed: of everything.
         device: of the learner; physics stays on the CPU.
         num_threads: physics threads; 0 for the CPUs this process may use.
+        compiled: whether ``torch.compile`` makes one kernel of what the task computes at every step.
         collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
             engine ``process``, ``ray`` or ``distributed``.
         workers: processes that share the robots and the CPUs.
@@ -56,8 +57,8 @@ class TrainConfig:
         relative_std: exploration of what legs do against each other.
         min_std: floor of both.
         noise_correlation: of the exploration from one control step to the next, in [0, 1).
-        final_std: ceiling of the exploration at the end of the run, lowered by the same factor a minute from ``init_std``
-            after ``anneal_from`` of it.
+        final_std: ceiling of the exploration at the end of the run, lowered from ``init_std`` by the same factor every
+            minute after ``anneal_from`` of it.
         anneal_from: share of the run, in [0, 1).
         smoothness_coeff: pull of the mean action towards that of the step before.
         roa_coeff: λ of Eq. 15.
@@ -75,7 +76,8 @@ class TrainConfig:
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
-        rest_share: share of the commands that are drawn around c_v = 0, beside those that fall there anyway.
+        rest_share: share of the commands that are drawn around c_v = 0 at the end of the run, beside those that fall
+            there anyway; it grows from 0 after ``anneal_from``.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).
@@ -96,6 +98,7 @@ class TrainConfig:
     seed: int = 0
     device: str = "cpu"
     num_threads: int = 0
+    compiled: bool = False
     collector: str = "direct"
     workers: int = 2
     gamma: float = 0.995
@@ -116,7 +119,7 @@ class TrainConfig:
     min_std: float = 0.03
     noise_correlation: float = 0.9
     final_std: float = 0.04
-    anneal_from: float = 0.1
+    anneal_from: float = 0.35
     smoothness_coeff: float = 0.3
     roa_coeff: float = 0.2
     roa_ramp: bool = False
@@ -135,7 +138,7 @@ class TrainConfig:
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
     rest_share: float = 0.2
-    tracking_threshold: float = 0.7
+    tracking_threshold: float = 0.65
     score_from_seconds: float = 1.0
     count_own_twice: bool = False
     initial_speed: float = 1.0
@@ -187,6 +190,15 @@ class TrainConfig:
     def frames_per_batch(self) -> int:
         """Robot steps in one iteration."""
         return self.num_envs * self.rollout_steps
+
+    def lateness(self, progress: float) -> float:
+        """How far what changes late in a run has changed, in [0, 1], when a share ``progress`` of it is over.
+
+        Example:
+            >>> TrainConfig(anneal_from=0.5).lateness(0.75)
+            0.5
+        """
+        return min(max(0.0, progress - self.anneal_from) / (1 - self.anneal_from), 1.0)
 
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""

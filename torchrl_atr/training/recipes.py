@@ -73,8 +73,8 @@ RECIPE_POINTS: dict[str, Point] = {
     ),
     "rest_share": Point(
         "ours",
-        "The grid is drawn from evenly, so that few commands ask to turn without riding, where Eq. 3's sgn(θ_y) gives a\n"
-        "roll no side. By default a share of the commands is drawn from there.",
+        "The grid is drawn from evenly, so that few commands ask to turn without riding, where Eq. 3's sgn(θ_y) gives\n"
+        "a roll no side. By default a growing share of the commands is drawn from there late in a run.",
         literal=0.0,
         ancestor=0.0,
     ),

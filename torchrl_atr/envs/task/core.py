@@ -15,9 +15,10 @@ from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task import disturbances, observations, rewards
 from torchrl_atr.envs.task import randomization as intrinsics
+from torchrl_atr.envs.task.compilation import compile_step
 from torchrl_atr.envs.task.outlook import outlook
 from torchrl_atr.envs.task.rotations import rotate_back
-from torchrl_atr.envs.task.state import CONTROL_DT, RidingState, Rows, StateReader
+from torchrl_atr.envs.task.state import CONTROL_DT, Readout, RidingState, Rows, StateReader
 from torchrl_atr.envs.task.terminations import fallen
 
 COMMAND_FEATURES = ("speed", "yaw_rate")
@@ -29,16 +30,16 @@ class Outcome:
     """What a control step led to.
 
     Attributes:
-        state: N robots after it.
         reward: (N, 1).
         terms: the weighted reward terms by name, (N, 1) each.
         terminated: (N,) bool.
+        observed: observations by key, (N, features) each, as :meth:`RidingTask.observe` gives them.
     """
 
-    state: RidingState
     reward: Tensor
     terms: dict[str, Tensor]
     terminated: Tensor
+    observed: dict[Any, Tensor]
 
 
 class RidingTask:
@@ -54,6 +55,7 @@ class RidingTask:
         rng: source of intrinsics, initial states and pushes.
         moving_start: share of the episodes that start at part of the commanded speeds.
         retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again.
+        compiled: whether ``torch.compile`` makes one kernel of what a step computes from the simulation.
 
     Attributes:
         x_int: scaled intrinsic parameters, (N, 34).
@@ -64,7 +66,7 @@ class RidingTask:
         num_diverged: robots that have failed so far, counted by whoever drives the task.
 
     Raises:
-        ValueError: for an unknown ``randomization``, or a share outside [0, 1].
+        ValueError: for an unknown ``randomization``, a share outside [0, 1], or ``compiled`` without a C++ compiler.
     """
 
     def __init__(
@@ -76,6 +78,7 @@ class RidingTask:
         rng: torch.Generator,
         moving_start: float = 0.0,
         retry: float = 0.0,
+        compiled: bool = False,
     ) -> None:
         for name, share in {"moving_start": moving_start, "retry": retry}.items():
             if not 0.0 <= share <= 1.0:
@@ -94,6 +97,7 @@ class RidingTask:
         self.previous_action = torch.zeros(n, self.joints)
         self.odometry = torch.zeros(n, 3)
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
+        self._assess = compile_step(self._assess_eagerly) if compiled else self._assess_eagerly
         self.begin(np.arange(n))
 
     def begin(self, rows: NDArray[np.int64], command: Tensor | None = None) -> RidingState:
@@ -158,28 +162,40 @@ class RidingTask:
         diverged = torch.from_numpy(self.engine.diverged)
         if diverged.any():  # what came before is no state to take differences to
             self._reader.forget(diverged.nonzero().squeeze(-1).numpy())
-        state = self._reader.read()
+        before = self._reader.velocities, self._action, self.previous_action, self.odometry
+        outcome, self._reader.velocities, self.odometry = self._assess(
+            self._reader.gather(), *before, command, self.x_int, diverged
+        )
+        self.previous_action = self._action
+        self.steps, self.fell = self.steps + 1, outcome.terminated
+        return outcome
+
+    def _assess_eagerly(
+        self,
+        readout: Readout,
+        velocities: Tensor,
+        action: Tensor,
+        previous_action: Tensor,
+        odometry: Tensor,
+        command: Tensor,
+        x_int: Tensor,
+        diverged: Tensor,
+    ) -> tuple[Outcome, Tensor, Tensor]:
+        """Outcome, velocities and odometry after a step: a function of the arguments alone, which can be compiled."""
+        state, velocities = self._reader.interpret(readout, velocities)
         terminated = fallen(state, self.scene, self.readings) | diverged
         thickness = self.scene.transporter.size[2]
         context = rewards.RewardContext(
-            state,
-            command,
-            self._action,
-            self.previous_action,
-            terminated,
-            self.scene.robot,
-            thickness,
-            self.readings,
+            state, command, action, previous_action, terminated, self.scene.robot, thickness, self.readings
         )
         reward, terms = rewards.compute_rewards(
             context,
             scale=rewards.reward_scale(self.readings),
             clip_to_positive=self.readings.positive_rewards,
         )
-        self.previous_action = self._action
-        self.odometry = observations.dead_reckoning(self.odometry, state)
-        self.steps, self.fell = self.steps + 1, terminated
-        return Outcome(state, reward, terms, terminated)
+        odometry = observations.dead_reckoning(odometry, state)
+        observed = self._observed(state, command, action, odometry, x_int)
+        return Outcome(reward, terms, terminated, observed), velocities, odometry
 
     def end(self, rows: list[int], outcome: Outcome) -> None:
         """Ends the episodes of ``rows``, in which no step can be scored: all that is left is r17.
@@ -207,14 +223,19 @@ class RidingTask:
             Observations by key, (n, features) each, raw SI units.
         """
         state = self._reader.read(rows) if state is None else state
-        proprio = observations.proprio(state, self.previous_action[rows], self.readings)
+        return self._observed(state, command, self.previous_action[rows], self.odometry[rows], self.x_int[rows])
+
+    def _observed(
+        self, state: RidingState, command: Tensor, action: Tensor, odometry: Tensor, x_int: Tensor
+    ) -> dict[Any, Tensor]:
+        proprio = observations.proprio(state, action, self.readings)
         return {
             "proprio": proprio,
             "command": command.clone(),
             "speeds": state.speeds,
-            "odometry": self.odometry[rows],
+            "odometry": odometry,
             "observation": torch.cat([proprio, command], -1),
-            ("privileged", "intrinsic"): self.x_int[rows],
+            ("privileged", "intrinsic"): x_int,
             ("privileged", "extrinsic"): observations.extrinsic(state, self.readings),
             ("privileged", "outlook"): outlook(state, command),
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -55,6 +55,11 @@ class RidingState:
         foot_position, foot_force: (N, 4, 3); forces act on the foot.
         other_force: contact force on the rest of the robot, (N, 3).
         com: the robot's centre of mass, (N, 3).
+        foot_load: magnitude of each foot's contact force, N, (N, 4).
+        contacts: contact indicators c_i as 0 or 1, (N, 4).
+        body_acceleration: v̇_B in the body frame, m/s², (N, 3).
+        relative_position: of the body in the platform frame, horizontal part, m, (N, 2).
+        relative_yaw: heading of the body relative to the platform, rad, (N, 1).
     """
 
     position: Tensor
@@ -82,30 +87,23 @@ class RidingState:
     other_force: Tensor
     com: Tensor
 
-    @cached_property
-    def foot_load(self) -> Tensor:
-        """Magnitude of each foot's contact force, N, (N, 4)."""
-        return self.foot_force.norm(dim=-1)
+    def __post_init__(self) -> None:  # not cached properties: torch.compile cannot look into those
+        self.foot_load = self.foot_force.norm(dim=-1)
+        self.contacts = (self.foot_load > CONTACT_THRESHOLD).to(self.foot_force.dtype)
+        self.body_acceleration = rotate_back(self.rotation, self.acceleration)
+        self.relative_position = rotate_back(self.platform_rotation, self.position - self.platform_position)[:, :2]
+        self.relative_yaw = wrap(self.euler[:, 2:] - self.platform_euler[:, 2:])
 
-    @cached_property
-    def contacts(self) -> Tensor:
-        """Contact indicators c_i as 0 or 1, (N, 4)."""
-        return (self.foot_load > CONTACT_THRESHOLD).to(self.foot_force.dtype)
 
-    @cached_property
-    def body_acceleration(self) -> Tensor:
-        """v̇_B in the body frame, m/s², (N, 3)."""
-        return rotate_back(self.rotation, self.acceleration)
+class Readout(NamedTuple):
+    """What an engine holds of n robots after a control step, float32, as MuJoCo and the drive law have it."""
 
-    @cached_property
-    def relative_position(self) -> Tensor:
-        """Position of the body in the platform frame, horizontal part, m, (N, 2)."""
-        return rotate_back(self.platform_rotation, self.position - self.platform_position)[:, :2]
-
-    @cached_property
-    def relative_yaw(self) -> Tensor:
-        """Heading of the body relative to the platform, rad, (N, 1)."""
-        return wrap(self.euler[:, 2:] - self.platform_euler[:, 2:])
+    qpos: Tensor
+    qvel: Tensor
+    sensed: Tensor
+    torque: Tensor
+    speeds: Tensor
+    driven_acceleration: Tensor
 
 
 class StateReader:
@@ -113,6 +111,9 @@ class StateReader:
 
     Args:
         engine: either engine.
+
+    Attributes:
+        velocities: of the previous reading, (N, 9 + 12); what the next one's accelerations are differences to.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -128,12 +129,12 @@ class StateReader:
         self._roll_and_pitch = torch.tensor(design.attitude).flip(0).T
         qpos, qvel = self._simulation(slice(None))
         self._sizes = (3, 3, 3, len(layout.joint_dof))
-        self._previous = self._velocities(qvel, self._platform_euler(qpos))
+        self.velocities = self._velocities(qvel, self._platform_euler(qpos))
 
     def forget(self, rows: Rows = slice(None)) -> None:
         """Starts the differences of ``rows`` anew from the present state (after a reset or the like)."""
         qpos, qvel = self._simulation(rows)
-        self._previous[rows] = self._velocities(qvel, self._platform_euler(qpos))
+        self.velocities[rows] = self._velocities(qvel, self._platform_euler(qpos))
 
     def _simulation(self, rows: Rows) -> tuple[Tensor, Tensor]:
         """``qpos`` and ``qvel`` of ``rows``, cast once."""
@@ -153,19 +154,38 @@ class StateReader:
 
     def read(self, rows: Rows = slice(None), anew: bool = False) -> RidingState:
         """The state of ``rows`` now; accelerations are differences to their previous reading, or zero ``anew``."""
-        engine, sensors = self.engine, self.engine.scene.layout.sensors
-        qpos, qvel = self._simulation(rows)
-        sensed = _float(engine.sensordata[rows])
+        state, self.velocities[rows] = self.interpret(self.gather(rows), None if anew else self.velocities[rows])
+        return state
+
+    def gather(self, rows: Rows = slice(None)) -> Readout:
+        """The engine's arrays of ``rows``, copied and cast once."""
+        engine = self.engine
+        return Readout(
+            *self._simulation(rows),
+            _float(engine.sensordata[rows]),
+            _float(engine.actuator_force[rows]),
+            _float(engine.speeds[rows]),
+            _float(engine.driven_acceleration(rows)),
+        )
+
+    def interpret(self, readout: Readout, previous: Tensor | None) -> tuple[RidingState, Tensor]:
+        """The state that a readout shows, and its velocities; touches nothing else.
+
+        Args:
+            readout: of n robots.
+            previous: their velocities a control step ago, to which accelerations are differences; None: they are zero.
+        """
+        qpos, qvel, sensed, torque, speeds, driven_acceleration = readout
+        sensors = self.engine.scene.layout.sensors
         platform_euler = self._platform_euler(qpos)
         now = self._velocities(qvel, platform_euler)
-        rates = torch.zeros_like(now) if anew else (now - self._previous[rows]) / CONTROL_DT
-        self._previous[rows] = now
+        rates = torch.zeros_like(now) if previous is None else (now - previous) / CONTROL_DT
         velocity, platform_velocity, platform_turning, joint_velocity = now.split(self._sizes, -1)
         acceleration, platform_acceleration, platform_twist, joint_acceleration = rates.split(self._sizes, -1)
         rotation = matrix_from_quaternion(qpos[:, self._root_qpos.stop : self._root_qpos.stop + 4])
         # contact sensors give the force on the deck; the feet feel the opposite
         foot_force = sensed[:, sensors["foot_force"]].neg().unflatten(-1, (-1, 3))
-        return RidingState(
+        state = RidingState(
             position=qpos[:, self._root_qpos],
             velocity=velocity,
             acceleration=acceleration,
@@ -175,7 +195,7 @@ class StateReader:
             joint_position=qpos[:, self._joint_qpos],
             joint_velocity=joint_velocity,
             joint_acceleration=joint_acceleration,
-            torque=_float(engine.actuator_force[rows])[:, self._actuators],
+            torque=torque[:, self._actuators],
             platform_position=pad(qpos[:, self._planar_qpos][:, :2], (0, 1), value=DECK_HEIGHT),
             platform_velocity=platform_velocity,
             platform_acceleration=platform_acceleration,
@@ -184,13 +204,14 @@ class StateReader:
             driving_tilt=qpos[:, self._tilt_qpos] @ self._driving,
             platform_angular_velocity=platform_turning,
             platform_angular_acceleration=platform_twist,
-            speeds=_float(engine.speeds[rows]),
-            driven_acceleration=_float(engine.driven_acceleration(rows)),
+            speeds=speeds,
+            driven_acceleration=driven_acceleration,
             foot_position=sensed[:, sensors["foot_position"]].unflatten(-1, (-1, 3)),
             foot_force=foot_force,
             other_force=-sensed[:, sensors["robot_force"]] - foot_force.sum(-2),
             com=sensed[:, sensors["com"]],
         )
+        return state, now
 
 
 def _float(array: NDArray[np.float64]) -> Tensor:

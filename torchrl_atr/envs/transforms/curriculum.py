@@ -92,10 +92,8 @@ class CommandCurriculum(Transform):
             raise ValueError(f"tracking_max must be positive, finite numbers, got {tuple(tracking_max)}")
         if not 0 <= score_from < window:
             raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
-        if not 0 <= rest_share <= 1:
-            raise ValueError(f"rest_share={rest_share} is a share; choose a number in [0, 1]")
         self.grid = CommandGrid() if grid is None else grid
-        self.rest_share = float(rest_share)
+        self.set_rest_share(rest_share)
         self.window, self.score_from = int(window), int(score_from)
         self.command_key, self.rest_key = unravel_key(command_key), rest_key
         self._generator = torch.Generator()
@@ -132,6 +130,16 @@ class CommandCurriculum(Transform):
     def set_seed(self, seed: int) -> None:
         """Restart this transform's own generator."""
         self._generator.manual_seed(int(seed))
+
+    def set_rest_share(self, rest_share: float) -> None:
+        """Change the share of the draws that are from around c_v = 0.
+
+        Raises:
+            ValueError: It is outside [0, 1].
+        """
+        if not 0 <= rest_share <= 1:
+            raise ValueError(f"rest_share={rest_share} is a share; choose a number in [0, 1]")
+        self.rest_share = float(rest_share)
 
     @torch.no_grad()
     def load_weights(self, weights: Tensor) -> None:
