@@ -21,6 +21,7 @@ from benchmarks.peers import available
 from benchmarks.timing import Contender, Key, Rates, interleave, medians
 from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
 from torchrl_atr._files import say
+from torchrl_atr.envs.task.compilation import compilers
 from torchrl_atr.training import TrainConfig
 from torchrl_atr.training.provenance import machine
 
@@ -33,6 +34,7 @@ class Plan:
 
     Attributes:
         cpus: threads and worker processes; 0 for the CPUs this process may use.
+        compiled: whether our envs are compiled, where there is a compiler.
         num_envs: N of the layers; one of ``sizes``.
         sizes: N, for cost and peak memory.
         training_sizes: N that are trained, the recipe's first; each one of ``sizes``.
@@ -43,6 +45,7 @@ class Plan:
     """
 
     cpus: int = 0
+    compiled: bool = True
     num_envs: int = 1024
     sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)
     training_sizes: tuple[int, ...] = (TrainConfig.num_envs, 256, 1024)
@@ -55,6 +58,7 @@ class Plan:
 FULL = Plan()
 QUICK = Plan(
     cpus=1,
+    compiled=False,
     num_envs=8,
     sizes=(8,),
     training_sizes=(8,),
@@ -77,7 +81,8 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
         What ``bench.json`` holds.
     """
     folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found before, not after
-    plan = dataclasses.replace(plan, cpus=plan.cpus or len(os.sched_getaffinity(0)))
+    cpus, compiled = plan.cpus or len(os.sched_getaffinity(0)), plan.compiled and bool(compilers())
+    plan = dataclasses.replace(plan, cpus=cpus, compiled=compiled)
     results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}
     results["memory"] = _memory(plan)
     peers, results["skipped"] = available()
@@ -119,23 +124,26 @@ def _memory(plan: Plan) -> list[dict[str, float]]:
 
 
 def _loop(plan: Plan, size: int, scratch: Path) -> TrainingLoop:
-    config = TrainConfig(num_envs=size, rollout_steps=plan.steps)
+    config = TrainConfig(num_envs=size, rollout_steps=plan.steps, compiled=plan.compiled)
     return TrainingLoop(config, scratch / str(size))
 
 
 def _layers(plan: Plan) -> list[Maker]:
     """Ours: all layers once, the lower ones at every size and number of threads."""
-    full, collected = (plan.num_envs, plan.cpus), {"steps": plan.steps}
+    full, compiled = (plan.num_envs, plan.cpus), plan.compiled
     fewer = [2**k for k in range(plan.cpus.bit_length()) if 2**k < plan.cpus]
     makers: list[Maker] = []
     for point in [(size, plan.cpus) for size in plan.sizes] + [(plan.num_envs, threads) for threads in fewer]:
-        makers += [partial(contenders.physics, *point), partial(contenders.bare, *point)]
-        makers.append(partial(contenders.free, *point, **collected))
+        makers += [partial(contenders.physics, *point), partial(contenders.bare, *point, compiled=compiled)]
+        makers.append(partial(contenders.free, *point, steps=plan.steps, compiled=compiled))
+    if compiled:
+        makers.append(partial(contenders.bare, *full, name="bare_eager"))
+        makers.append(partial(contenders.free, *full, steps=plan.steps, name="free_eager"))
     return [
         *makers,
-        partial(contenders.transformed, *full),
-        partial(contenders.deployed, *full, **collected),
-        partial(contenders.training_policy, *full, **collected),
+        partial(contenders.transformed, *full, compiled=compiled),
+        partial(contenders.deployed, *full, steps=plan.steps, compiled=compiled),
+        partial(contenders.training_policy, *full, steps=plan.steps, compiled=compiled),
     ]
 
 

@@ -66,34 +66,34 @@ def stepped(name: str, env: EnvBase, threads: int) -> Contender:
     return Contender(Key(name, size, threads), step, env.close)
 
 
-def bare(num_envs: int, threads: int) -> Contender:
+def bare(num_envs: int, threads: int, compiled: bool = False, name: str = "bare") -> Contender:
     """``RidingEnv`` alone."""
-    return stepped("bare", RidingEnv(num_envs=num_envs, num_threads=threads, seed=0), threads)
+    return stepped(name, RidingEnv(num_envs=num_envs, num_threads=threads, seed=0, compiled=compiled), threads)
 
 
-def transformed(num_envs: int, threads: int) -> Contender:
+def transformed(num_envs: int, threads: int, compiled: bool = False) -> Contender:
     """``make_riding_env``: with command curriculum, history, time limit."""
-    return stepped("transformed", _riding_env(num_envs, threads), threads)
+    return stepped("transformed", _riding_env(num_envs, threads, compiled), threads)
 
 
-def free(num_envs: int, threads: int, steps: int) -> Contender:
+def free(num_envs: int, threads: int, steps: int, compiled: bool = False, name: str = "free") -> Contender:
     """TorchRL's ``Collector`` with a policy that costs nothing; ``steps`` control steps a batch."""
-    env = _riding_env(num_envs, threads)
+    env = _riding_env(num_envs, threads, compiled)
     still = env.full_action_spec.zero()
-    return _collected("free", env, lambda state: state.update(still), threads, steps)
+    return _collected(name, env, lambda state: state.update(still), threads, steps)
 
 
-def deployed(num_envs: int, threads: int, steps: int) -> Contender:
+def deployed(num_envs: int, threads: int, steps: int, compiled: bool = False) -> Contender:
     """``Collector`` with the deployed policy, untrained: estimators and actor."""
-    env = _riding_env(num_envs, threads)
+    env = _riding_env(num_envs, threads, compiled)
     torch.manual_seed(0)
     policy = make_run_networks(TrainConfig(), env).deployed_policy()
     return _collected("deployed", env, policy, threads, steps)
 
 
-def training_policy(num_envs: int, threads: int, steps: int) -> Contender:
+def training_policy(num_envs: int, threads: int, steps: int, compiled: bool = False) -> Contender:
     """The trainer's own collection: its env, its policy, untrained, with exploration."""
-    config = TrainConfig(num_envs=num_envs, rollout_steps=steps, num_threads=threads)
+    config = TrainConfig(num_envs=num_envs, rollout_steps=steps, num_threads=threads, compiled=compiled)
     env = make_env(config)
     torch.manual_seed(config.seed)
     policy = make_run_networks(config, env).rollout_policy(config.act_source, config.student_fraction)
@@ -106,8 +106,8 @@ def training_policy(num_envs: int, threads: int, steps: int) -> Contender:
     return Contender(Key("training_policy", num_envs, threads), lambda: collection.collect().numel(), close)
 
 
-def _riding_env(num_envs: int, threads: int) -> TransformedEnv:
-    return make_riding_env(num_envs=num_envs, num_threads=threads, seed=0)
+def _riding_env(num_envs: int, threads: int, compiled: bool) -> TransformedEnv:
+    return make_riding_env(num_envs=num_envs, num_threads=threads, seed=0, compiled=compiled)
 
 
 def _collected(

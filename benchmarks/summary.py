@@ -9,6 +9,8 @@ from benchmarks.timing import Key, Rates, medians
 
 LADDER = ("bare", "transformed", "free", "deployed", "training_policy")
 """Ours above the physics, lowest first."""
+EAGER = ("bare_eager", "free_eager")
+"""The same without ``compiled=True``, where the others have it."""
 PEERS = ("dm_control", "torchrl_ant", "gymnasium_ant")
 SCALED = ("bare", "free")
 """What is also measured at other sizes and numbers of threads."""
@@ -35,7 +37,7 @@ def rate_records(rates: Rates) -> list[dict[str, Any]]:
 def ladder(median: dict[Key, float], num_envs: int, threads: int) -> dict[str, float]:
     """Shares of the physics limit, by layer."""
     limit = median[Key("physics", num_envs, threads)]
-    keys = [Key(name, num_envs, threads) for name in LADDER]
+    keys = [Key(name, num_envs, threads) for name in (*LADDER, *EAGER)]
     return {key.name: median[key] / limit for key in keys if key in median}
 
 

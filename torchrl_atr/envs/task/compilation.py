@@ -22,7 +22,7 @@ def compilers() -> list[str]:
 def compile_step(step: Callable[..., Any]) -> Callable[..., Any]:
     """``step``, compiled at its first call, which takes half a minute.
 
-    torch keeps the result on disk for the next process.
+    torch keeps the result on disk for the next process. A second number of robots is compiled for any number.
 
     Raises:
         InputError: if there is no C++ compiler, which torch needs for code on a CPU.
@@ -32,4 +32,4 @@ def compile_step(step: Callable[..., Any]) -> Callable[..., Any]:
             f"compiled=True needs a C++ compiler, and none of {', '.join(_COMPILERS)} is on PATH; install one, or do "
             "without"
         )
-    return torch.compile(step, fullgraph=True, dynamic=False)
+    return torch.compile(step, fullgraph=True)
