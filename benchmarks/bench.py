@@ -130,20 +130,20 @@ def _loop(plan: Plan, size: int, scratch: Path) -> TrainingLoop:
 
 def _layers(plan: Plan) -> list[Maker]:
     """Ours: all layers once, the lower ones at every size and number of threads."""
-    full, compiled = (plan.num_envs, plan.cpus), plan.compiled
-    fewer = [2**k for k in range(plan.cpus.bit_length()) if 2**k < plan.cpus]
+    size, cpus, steps, compiled = plan.num_envs, plan.cpus, plan.steps, plan.compiled
+    fewer = [2**k for k in range(cpus.bit_length()) if 2**k < cpus]
     makers: list[Maker] = []
-    for point in [(size, plan.cpus) for size in plan.sizes] + [(plan.num_envs, threads) for threads in fewer]:
-        makers += [partial(contenders.physics, *point), partial(contenders.bare, *point, compiled=compiled)]
-        makers.append(partial(contenders.free, *point, steps=plan.steps, compiled=compiled))
+    for n, threads in [(n, cpus) for n in plan.sizes] + [(size, threads) for threads in fewer]:
+        makers += [partial(contenders.physics, n, threads), partial(contenders.bare, n, threads, compiled=compiled)]
+        makers.append(partial(contenders.free, n, threads, steps=steps, compiled=compiled))
     if compiled:
-        makers.append(partial(contenders.bare, *full, name="bare_eager"))
-        makers.append(partial(contenders.free, *full, steps=plan.steps, name="free_eager"))
+        makers.append(partial(contenders.bare, size, cpus, name="bare_eager"))
+        makers.append(partial(contenders.free, size, cpus, steps=steps, name="free_eager"))
     return [
         *makers,
-        partial(contenders.transformed, *full, compiled=compiled),
-        partial(contenders.deployed, *full, steps=plan.steps, compiled=compiled),
-        partial(contenders.training_policy, *full, steps=plan.steps, compiled=compiled),
+        partial(contenders.transformed, size, cpus, compiled=compiled),
+        partial(contenders.deployed, size, cpus, steps=steps, compiled=compiled),
+        partial(contenders.training_policy, size, cpus, steps=steps, compiled=compiled),
     ]
 
 
