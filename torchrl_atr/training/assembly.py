@@ -25,6 +25,7 @@ DEPLOYED: dict[str, Any] = {
     "runaway_margin": None,
     "max_steps": 2**31 - 1,
     "retry": 0.0,
+    "compiled": False,
 }
 """Env arguments without what belongs to training only: a ride from rest that nothing but a fall ends."""
 
@@ -121,7 +122,7 @@ def load_run(
     state = load_checkpoint(run if checkpoint is None else run / checkpoint)
     config = run_config(state, run, device="cpu")  # wherever it was trained
     import_modules(config.imports)
-    env = make_env(config, **env_overrides)
+    env = make_env(config, **{"compiled": False, **env_overrides})  # to look at, where there may be no compiler
     networks = make_run_networks(config, env)
     load_networks(networks, state["learner"]["networks"], run)
     return config, env, networks, state
