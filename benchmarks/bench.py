@@ -21,7 +21,7 @@ from benchmarks.peers import available
 from benchmarks.timing import Contender, Key, Rates, interleave, medians
 from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
 from torchrl_atr._files import say
-from torchrl_atr.envs.task.compilation import compilers
+from torchrl_atr.envs.task.compilation import compiler
 from torchrl_atr.training import TrainConfig
 from torchrl_atr.training.provenance import machine
 
@@ -81,7 +81,8 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
         What ``bench.json`` holds.
     """
     folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found before, not after
-    cpus, compiled = plan.cpus or len(os.sched_getaffinity(0)), plan.compiled and bool(compilers())
+    cpus, compiled = plan.cpus or len(os.sched_getaffinity(0)), plan.compiled and compiler() is not None
+    torch._dynamo.config.recompile_limit = 64  # each number of threads is one
     plan = dataclasses.replace(plan, cpus=cpus, compiled=compiled)
     results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}
     results["memory"] = _memory(plan)

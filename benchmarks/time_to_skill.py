@@ -28,6 +28,9 @@ BAR = {"survival": (0.97, 1.0), "settled_speed_error": (0.0, 0.30), "settled_yaw
 GRID = (2.0, 1.0, 1.0, 0.25)
 """Largest speed (m/s) and yaw rate (rad/s) of the commands, and their steps."""
 
+NOTES = "evaluations.json"
+"""In a run's folder."""
+
 
 def meets(figures: Mapping[str, float | None]) -> bool:
     """Whether every figure is within the bar.
@@ -72,7 +75,7 @@ def train_until(config: TrainConfig, folder: Path, every: float, robots_per_comm
     Returns:
         ``minutes``, ``frames`` and figures of every evaluation; the last one met the bar, or the run ended.
     """
-    notes = folder / "evaluations.json"
+    notes = folder / NOTES
     state = load_checkpoint(folder) if (folder / NAME).exists() else None
     tried: list[dict[str, Any]] = json.loads(notes.read_text()) if state is not None and notes.exists() else []
     trainer = Trainer(config, folder, state)
@@ -91,6 +94,16 @@ def train_until(config: TrainConfig, folder: Path, every: float, robots_per_comm
     if trainer.train(check) is not None:  # it was asked to stop
         raise KeyboardInterrupt
     return tried
+
+
+def finished_runs(runs: Path) -> list[dict[str, Any]]:
+    """Seed, hardware and evaluations of every run in a folder, whichever call made it."""
+    found = []
+    for notes in sorted(runs.glob(f"*/{NOTES}")):
+        origin = json.loads((notes.parent / "run.json").read_text())
+        evaluations = json.loads(notes.read_text())
+        found.append({"seed": origin["seed"], "hardware": origin["hardware"], "evaluations": evaluations})
+    return found
 
 
 def table(report: dict[str, Any]) -> str:
@@ -133,14 +146,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         f"python -m benchmarks.time_to_skill --minutes {arguments.minutes:g} --every {arguments.every:g} "
         f"--seeds {seeds} --num-envs {arguments.num_envs}"
     )
-    runs: list[dict[str, Any]] = []
     for seed in arguments.seeds:
         config = make_config({"seed": seed, "max_minutes": arguments.minutes, "num_envs": arguments.num_envs})
         folder = arguments.runs / str(seed)
-        evaluations = train_until(config, folder, arguments.every, arguments.robots_per_command)
-        hardware = json.loads((folder / "run.json").read_text())["hardware"]  # a run may be gone on with elsewhere
-        runs.append({"seed": seed, "hardware": hardware, "evaluations": evaluations})
-        report = {"command": command, "runs": runs, "versions": machine()["versions"]}
+        train_until(config, folder, arguments.every, arguments.robots_per_command)
+        report = {"command": command, "runs": finished_runs(arguments.runs), "versions": machine()["versions"]}
         results.write(arguments.output, "time_to_skill", report, table(report))
     return 0
 

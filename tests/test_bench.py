@@ -113,6 +113,8 @@ def test_sizes_and_threads_are_measured_once_each():
     layers = bench._layers(dataclasses.replace(bench.FULL, cpus=6, sizes=(64, 1024)))
     points = [make.args for make in layers if make.func is contenders.physics]
     assert sorted(points) == [(64, 6), (1024, 1), (1024, 2), (1024, 4), (1024, 6)]
+    eager = [make.keywords["name"] for make in layers if not make.keywords.get("compiled") and make.keywords]
+    assert eager == list(summary.EAGER)
 
 
 def test_robots_at_the_physics_limit_stand():

@@ -159,8 +159,14 @@ def test_without_reflections_networks_are_plain():
 
 @pytest.mark.parametrize(
     "matrix",
-    [torch.eye(3), torch.ones(2, 2), 0.5 * torch.eye(2), torch.tensor([[0.0, 1.0], [-1.0, 0.0]])],
-    ids=["size", "no permutation", "no sign", "not its own inverse"],
+    [
+        torch.eye(3),
+        torch.ones(2, 2),
+        0.5 * torch.eye(2),
+        torch.tensor([[0.0, 1.0], [-1.0, 0.0]]),
+        torch.tensor([[1.0, 1.0], [0.0, -1.0]]),
+    ],
+    ids=["size", "no permutation", "no sign", "not its own inverse", "a shear"],
 )
 def test_what_is_no_reflection_is_refused(matrix):
     with pytest.raises(ValueError, match="its own inverse"):

@@ -85,7 +85,7 @@ class SuiteTask(control.Task):
 
     @property
     def command(self) -> NDArray[np.float32]:
-        """(c_v, c_ω), m/s and rad/s, until it is set anew; zero at first."""
+        """(c_v, c_ω), m/s and rad/s, until it is set anew; zero at first. An observation holds that of its step."""
         return self._command[0].numpy().copy()
 
     @command.setter

@@ -30,7 +30,9 @@ def check_reflection(reflection: Tensor, features: int, name: str = "a reflectio
     """
     matrix = reflection.to(torch.get_default_dtype())
     one = torch.eye(features).to(matrix)
-    if matrix.shape != one.shape or not torch.equal(matrix @ matrix, one) or not torch.equal(matrix, matrix.round()):
+    sizes = matrix.abs()
+    permutes = torch.equal(sizes, sizes.round()) and bool((sizes.sum(-1) == 1).all())
+    if matrix.shape != one.shape or not permutes or not torch.equal(matrix @ matrix, one):
         raise ValueError(
             f"{name} must be a signed permutation matrix of {features} components that is its own inverse, got one of "
             f"shape {tuple(reflection.shape)}"
@@ -58,7 +60,7 @@ class SymmetricLinear(nn.Module):
     """A linear layer with f(R x) = S f(x) for reflections R of its inputs and S of its outputs.
 
     It maps the even part of its inputs, x + R x, to the even part of its outputs and the odd part, x - R x, to the odd
-    one: two small layers with half the weights and half the products of a plain layer.
+    one: two small layers with half the weights and, between hidden units, half the products of a plain layer.
 
     Args:
         inputs (Tensor): R, (in_features, in_features).
@@ -76,9 +78,10 @@ class SymmetricLinear(nn.Module):
 
     def __init__(self, inputs: Tensor, outputs: Tensor) -> None:
         super().__init__()
+        self.in_features, self.out_features = len(inputs), len(outputs)
         self.inputs, self.outputs = _parity(inputs), _parity(outputs)
-        self.even = self._block(self.inputs.even, self.outputs.even, bias=True)
-        self.odd = self._block(self.inputs.odd, self.outputs.odd, bias=False)  # a constant has no odd part
+        self.even = self._block(self.inputs.num_even, self.outputs.num_even, bias=True)
+        self.odd = self._block(self.inputs.num_odd, self.outputs.num_odd, bias=False)  # a constant has no odd part
 
     def _block(self, inputs: int, outputs: int, bias: bool) -> nn.Linear | None:
         """A layer between parts of one parity, None where there is nothing to map, as large at first as a plain one."""
@@ -94,7 +97,12 @@ class SymmetricLinear(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Map (*B, in_features) to (*B, out_features)."""
         even, odd = self.inputs.split(x)
-        return self.outputs.join(_apply(self.even, even, self.outputs.even), _apply(self.odd, odd, self.outputs.odd))
+        parts = _apply(self.even, even, self.outputs.num_even), _apply(self.odd, odd, self.outputs.num_odd)
+        return self.outputs.join(*parts)
+
+    def extra_repr(self) -> str:
+        """As ``nn.Linear`` shows itself."""
+        return f"in_features={self.in_features}, out_features={self.out_features}"
 
 
 def _apply(block: nn.Linear | None, x: Tensor, features: int) -> Tensor:
@@ -109,7 +117,7 @@ class _Halves(nn.Module):
 
     def __init__(self, features: int) -> None:
         super().__init__()
-        self.even = self.odd = features // 2
+        self.num_even = self.num_odd = features // 2
 
     def split(self, x: Tensor) -> tuple[Tensor, Tensor]:
         left, right = x.chunk(2, -1)
@@ -130,12 +138,12 @@ class _Parity(nn.Module):
         one = torch.eye(len(reflection))
         first = reflection.abs().argmax(-1) >= torch.arange(len(reflection))  # of a pair that changes places
         even, odd = (_unit_columns((one + sign * reflection)[:, first]) for sign in (1, -1))
-        self.even, self.odd = even.shape[1], odd.shape[1]
+        self.num_even, self.num_odd = even.shape[1], odd.shape[1]
         # saved with the weights, which mean nothing in another basis
         self.register_buffer("basis", torch.cat([even, odd], 1))
 
     def split(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        even, odd = (x @ self.basis).split([self.even, self.odd], -1)
+        even, odd = (x @ self.basis).split([self.num_even, self.num_odd], -1)
         return even, odd
 
     def join(self, even: Tensor, odd: Tensor) -> Tensor:

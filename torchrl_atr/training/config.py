@@ -43,7 +43,8 @@ class TrainConfig:
         seed: of everything.
         device: of the learner; physics stays on the CPU.
         num_threads: physics threads; 0 for the CPUs this process may use.
-        compiled: whether ``torch.compile`` makes one kernel of what the task computes at every step.
+        compiled: whether ``torch.compile`` makes one function of what the task computes at every step; a resumed run is
+            then the uninterrupted one to rounding.
         collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
             engine ``process``, ``ray`` or ``distributed``.
         workers: processes that share the robots and the CPUs.
@@ -57,8 +58,8 @@ class TrainConfig:
         relative_std: exploration of what legs do against each other.
         min_std: floor of both.
         noise_correlation: of the exploration from one control step to the next, in [0, 1).
-        final_std: ceiling of the exploration at the end of the run, lowered from ``init_std`` by the same factor every
-            minute after ``anneal_from`` of it.
+        final_std: ceiling of the exploration at the end of the run, lowered from ``init_std`` geometrically after
+            ``anneal_from`` of it.
         anneal_from: share of the run, in [0, 1).
         smoothness_coeff: pull of the mean action towards that of the step before.
         roa_coeff: λ of Eq. 15.

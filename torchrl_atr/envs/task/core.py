@@ -55,7 +55,7 @@ class RidingTask:
         rng: source of intrinsics, initial states and pushes.
         moving_start: share of the episodes that start at part of the commanded speeds.
         retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again.
-        compiled: whether ``torch.compile`` makes one kernel of what a step computes from the simulation.
+        compiled: whether what a step computes from the simulation is compiled (``compile_step``).
 
     Attributes:
         x_int: scaled intrinsic parameters, (N, 34).
@@ -153,11 +153,15 @@ class RidingTask:
         self._action = action.detach().to(torch.float32, copy=True)
         self.engine.command((self._nominal + self.scene.robot.action_scale * self._action).numpy())
 
+    @torch.no_grad()
     def judge(self, command: Tensor) -> Outcome:
         """Closes a control step, after the engine advanced.
 
         Args:
             command: (c_v, c_ω) in force during the step, (N, 2).
+
+        Returns:
+            Reward, terms, terminations and observations of all robots.
         """
         diverged = torch.from_numpy(self.engine.diverged)
         if diverged.any():  # what came before is no state to take differences to

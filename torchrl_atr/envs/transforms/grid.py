@@ -168,7 +168,14 @@ class CommandGrid:
         return low + uniforms[:, 1:] * (high - low), cells
 
     def emphasise_rest(self, weights: Tensor, share: float) -> Tensor:
-        """Weights to draw from, ``shape``: a share of the commands around c_v = 0, the others as ``weights`` say.
+        """Weights to draw from, adding up to 1: a share of the commands around c_v = 0, the others as ``weights`` say.
+
+        Args:
+            weights: ``shape``, at least one of them positive.
+            share: in [0, 1]; without any weight around c_v = 0 all commands are drawn as ``weights`` say.
+
+        Returns:
+            ``shape``.
 
         Example:
             >>> grid = CommandGrid((0.4, 0.2), initial=(0.4, 0.2))
