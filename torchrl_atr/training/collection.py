@@ -160,23 +160,8 @@ class Collection:
 
     def _spread(self) -> None:
         if self.callable:
-            self._tell("load_weights", self.curriculum.weights.clone())
-
-    def emphasise_rest(self, share: float) -> None:
-        """Draws a share of the next commands around c_v = 0; ``distributed`` workers cannot be told.
-
-        Raises:
-            CollectionError: if a worker died.
-        """
-        if share != self.curriculum.rest_share:
-            self.curriculum.set_rest_share(share)
-            if self.callable:
-                with self._workers():
-                    self._tell("set_rest_share", share)
-
-    def _tell(self, method: str, value: Any) -> None:
-        """Calls a method of every worker's curriculum."""
-        self.collector.map_fn(f"{_CURRICULUM}.{method}", list_of_args=[(value,)] * self.config.workers)
+            arguments = [(self.curriculum.weights.clone(),)] * self.config.workers
+            self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
 
     @property
     def num_diverged(self) -> int | None:

@@ -58,7 +58,7 @@ class TrainConfig:
         relative_std: exploration of what legs do against each other.
         min_std: floor of both.
         noise_correlation: of the exploration from one control step to the next, in [0, 1).
-        final_std: ceiling of the exploration at the end of the run, lowered from ``init_std`` geometrically after
+        final_std: ceiling of the exploration at the end of the run, lowered linearly from ``init_std`` after
             ``anneal_from`` of it.
         anneal_from: share of the run, in [0, 1).
         smoothness_coeff: pull of the mean action towards that of the step before.
@@ -77,8 +77,6 @@ class TrainConfig:
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
-        rest_share: share of the commands that are drawn around c_v = 0 at the end of the run, beside those that fall
-            there anyway; it grows from 0 after ``anneal_from``.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).
@@ -119,7 +117,7 @@ class TrainConfig:
     relative_std: float = 0.1
     min_std: float = 0.03
     noise_correlation: float = 0.9
-    final_std: float = 0.04
+    final_std: float = 0.1
     anneal_from: float = 0.35
     smoothness_coeff: float = 0.3
     roa_coeff: float = 0.2
@@ -138,8 +136,7 @@ class TrainConfig:
     retry: float = 0.5
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
-    rest_share: float = 0.2
-    tracking_threshold: float = 0.65
+    tracking_threshold: float = 0.6
     score_from_seconds: float = 1.0
     count_own_twice: bool = False
     initial_speed: float = 1.0
@@ -191,15 +188,6 @@ class TrainConfig:
     def frames_per_batch(self) -> int:
         """Robot steps in one iteration."""
         return self.num_envs * self.rollout_steps
-
-    def lateness(self, progress: float) -> float:
-        """How far what changes late in a run has changed, in [0, 1], when a share ``progress`` of it is over.
-
-        Example:
-            >>> TrainConfig(anneal_from=0.5).lateness(0.75)
-            0.5
-        """
-        return min(max(0.0, progress - self.anneal_from) / (1 - self.anneal_from), 1.0)
 
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""
@@ -255,7 +243,6 @@ RANGES: dict[str, tuple[float, float]] = {
     "retry": (0, 1),
     "episode_seconds": (0.1, 1e6),
     "command_seconds": (0.1, 1e6),
-    "rest_share": (0, 1),
     "tracking_threshold": (0.01, 1),
     "score_from_seconds": (0, 1e6),
     "initial_speed": (_POSITIVE, 15.0),

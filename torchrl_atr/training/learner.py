@@ -86,8 +86,8 @@ class Learner:
             progress: share of the run that is over, in [0, 1].
         """
         config = self.config
-        late = config.lateness(progress)
-        self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
+        late = min(max(0.0, progress - config.anneal_from) / (1 - config.anneal_from), 1.0)
+        self.networks.backbone.std.cap_(config.init_std + late * (config.final_std - config.init_std))
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
         if self._roa_ramp is not None:
             self._roa_ramp.step(progress)

@@ -71,13 +71,6 @@ RECIPE_POINTS: dict[str, Point] = {
         literal=0.0,
         ancestor=0.0,
     ),
-    "rest_share": Point(
-        "ours",
-        "The grid is drawn from evenly, so that few commands ask to turn without riding, where Eq. 3's sgn(θ_y) gives\n"
-        "a roll no side. By default a growing share of the commands is drawn from there late in a run.",
-        literal=0.0,
-        ancestor=0.0,
-    ),
     "init_std": Point(
         "A21",
         "The paper gives no PPO hyper-parameters. The ancestors explore with a standard deviation of 1:\n"

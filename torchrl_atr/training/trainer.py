@@ -153,7 +153,6 @@ class Trainer:
             Its metrics; the seconds are those since the last iteration, logs and checkpoints included.
         """
         self.learner.anneal(self.progress_made)
-        self.collection.emphasise_rest(self.config.rest_share * self.config.lateness(self.progress_made))
         batch = self.collection.collect()
         collected = time.monotonic()
         metrics = self._learn(batch)

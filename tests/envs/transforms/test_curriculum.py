@@ -236,16 +236,6 @@ def test_a_stray_command_is_not_a_pin():
     assert torch.equal(td["observation"][:, -2:], td["command"])
 
 
-def test_more_commands_are_drawn_around_rest():
-    env = make((2000,), rest_share=0.5)
-    commands = env.reset()["command"]
-    expected = 0.5 + 0.5 * 3 / 15  # three of the fifteen first cells have c_v = 0
-    assert ((commands[:, 0].abs() <= 0.1).float().mean() - expected).abs() < 0.04
-    assert set(env.transform.rows.cells.div(21, rounding_mode="floor").tolist()) == {73, 74, 75, 76, 77}
-    with pytest.raises(ValueError, match="rest_share"):
-        make(rest_share=1.5)
-
-
 def test_two_seeds_differ_and_one_seed_repeats():
     first, second, again = (make(seed=s).rollout(12)["command"] for s in (0, 1, 0))
     assert torch.equal(first, again)

@@ -60,21 +60,6 @@ def test_update_table_by_hand():
     torch.testing.assert_close(new, table)
 
 
-def test_a_share_of_the_draws_is_around_rest():
-    grid = CommandGrid()
-    weights = grid.initial_weights()
-    weights[90, 3] = 0.5  # far out, and none at rest turns as fast
-    drawn = grid.emphasise_rest(weights, 0.25)
-    torch.testing.assert_close(drawn.sum(), torch.tensor(1.0))
-    others = torch.arange(151) != 75
-    torch.testing.assert_close(drawn[others], 0.75 * weights[others] / weights.sum())
-    torch.testing.assert_close(drawn[75], (0.75 / weights.sum() + 0.25 / 3) * weights[75])
-    without_rest = weights.clone()
-    without_rest[75] = 0.0
-    drawn = grid.emphasise_rest(without_rest, 0.25)
-    torch.testing.assert_close(drawn / drawn.sum(), without_rest / without_rest.sum())
-
-
 def test_own_cell_counted_twice_is_the_ancestors_reading():
     grid = CommandGrid(**{**SMALL.__dict__, "count_own_twice": True})
     new = grid.update(torch.zeros(5, 5), at(grid, (1, 1)))

@@ -45,8 +45,6 @@ class CommandCurriculum(Transform):
         thresholds: Fraction of the maximum that each window mean must reach (gamma_v, gamma_omega).
         window: Steps that a command lasts (5 s at 50 Hz).
         score_from: Steps at the start of each window that are left out of the score.
-        rest_share: Share of the draws from the cells around c_v = 0, beside those that fall there anyway. Drawn evenly
-            from a wide grid they are rare, and hard: no pitch says which way a roll turns the deck (Eq. 3).
         grid: The cells and the update rule.
         rest_key: If given, an entry of the reset that is zero for rows which start at rest, ``(*B, 2)``: the first
             window of the others, who were given some of what is asked, is not scored.
@@ -54,8 +52,7 @@ class CommandCurriculum(Transform):
         seed: Seed of the transform's generator.
 
     Raises:
-        ValueError: Lengths differ, a maximum is not positive, the window leaves nothing to score, or a share is
-            outside [0, 1].
+        ValueError: Lengths differ, a maximum is not positive, or the window leaves nothing to score.
 
     Example:
         >>> curriculum = CommandCurriculum(tracking_max=(0.2, 0.1), seed=0)
@@ -76,7 +73,6 @@ class CommandCurriculum(Transform):
         thresholds: Sequence[float] = (0.8, 0.8),
         window: int = 250,
         score_from: int = 0,
-        rest_share: float = 0.0,
         grid: CommandGrid | None = None,
         rest_key: NestedKey | None = None,
         command_key: NestedKey = "command",
@@ -93,7 +89,6 @@ class CommandCurriculum(Transform):
         if not 0 <= score_from < window:
             raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
         self.grid = CommandGrid() if grid is None else grid
-        self.set_rest_share(rest_share)
         self.window, self.score_from = int(window), int(score_from)
         self.command_key, self.rest_key = unravel_key(command_key), rest_key
         self._generator = torch.Generator()
@@ -130,16 +125,6 @@ class CommandCurriculum(Transform):
     def set_seed(self, seed: int) -> None:
         """Restart this transform's own generator."""
         self._generator.manual_seed(int(seed))
-
-    def set_rest_share(self, rest_share: float) -> None:
-        """Change the share of the draws that are from around c_v = 0.
-
-        Raises:
-            ValueError: It is outside [0, 1].
-        """
-        if not 0 <= rest_share <= 1:
-            raise ValueError(f"rest_share={rest_share} is a share; choose a number in [0, 1]")
-        self.rest_share = float(rest_share)
 
     @torch.no_grad()
     def load_weights(self, weights: Tensor) -> None:
@@ -304,8 +289,7 @@ class CommandCurriculum(Transform):
         if len(index):
             # drawn on the CPU: the same commands on every device
             uniforms = torch.rand(len(index), 1 + len(self.grid.bounds), generator=self._generator, dtype=torch.float64)
-            weights = self.grid.emphasise_rest(self.weights, self.rest_share) if self.rest_share else self.weights
-            commands, cells = self.grid.sample(weights, uniforms.to(self.weights.device))
+            commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
             self.rows.command[index] = commands.to(self.rows.command.dtype)
             self.rows.cells[index] = cells
 

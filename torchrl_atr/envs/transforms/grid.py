@@ -167,26 +167,6 @@ class CommandGrid:
         low, high = self._edges(cells)
         return low + uniforms[:, 1:] * (high - low), cells
 
-    def emphasise_rest(self, weights: Tensor, share: float) -> Tensor:
-        """Weights to draw from, adding up to 1: a share of the commands around c_v = 0, the others as ``weights`` say.
-
-        Args:
-            weights: ``shape``, at least one of them positive.
-            share: in [0, 1]; without any weight around c_v = 0 all commands are drawn as ``weights`` say.
-
-        Returns:
-            ``shape``.
-
-        Example:
-            >>> grid = CommandGrid((0.4, 0.2), initial=(0.4, 0.2))
-            >>> grid.emphasise_rest(grid.initial_weights(), 0.5).sum(-1).tolist()
-            [0.10000000149011612, 0.10000000149011612, 0.6000000238418579, 0.10000000149011612, 0.10000000149011612]
-        """
-        drawn = (1.0 - share) * weights / weights.sum()
-        rest = weights[self.half[0]]
-        drawn[self.half[0]] += share * rest / rest.sum().clamp_min(1e-12)
-        return drawn
-
     def update(self, weights: Tensor, cells: Tensor) -> Tensor:
         """P_{K+1} from P_K: each success adds the increment to its neighbourhood, saturating at 1.
 
