@@ -1,7 +1,7 @@
 """Rewrites a run whose symmetric layers held half of a plain one's weights for layers of even and odd parts.
 
-``python scripts/convert_symmetric.py RUN OUTPUT`` writes ``OUTPUT/checkpoint.pt``: the same networks as functions. Adam's
-moments belong to the old weights and start anew.
+``python scripts/convert_symmetric.py RUN OUTPUT`` writes ``OUTPUT/checkpoint.pt``: the same networks as functions.
+Adam's moments belong to the old weights and start anew.
 """
 
 from __future__ import annotations
