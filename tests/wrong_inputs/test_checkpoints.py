@@ -36,7 +36,7 @@ def _drop(*path: str) -> Callable[[dict], object]:
 
 
 def _fill(value: float) -> Callable[[dict], object]:
-    return lambda state: state["learner"]["networks"]["encoder.net.0.weight"].fill_(value)
+    return lambda state: state["learner"]["networks"]["encoder.net.0.even.weight"].fill_(value)
 
 
 @pytest.mark.parametrize(
@@ -46,14 +46,14 @@ def _fill(value: float) -> Callable[[dict], object]:
         (_drop("version"), "is not a checkpoint of ours", "give a run folder"),
         (_drop("learner", "networks"), "lacks 'learner/networks'", "give a folder that"),
         (_drop("config"), "lacks 'config'", "give a folder that"),
-        (_settings(critic_cells=[32]), "critic.net.0.weight is (4, ", "use the code, the settings"),
+        (_settings(critic_cells=[32]), "critic.net.0.even.weight is (4, ", "use the code, the settings"),
         (_settings(estimator="mlp"), "intrinsic_estimator.net", "use the code, the settings"),
         (_settings(history_length=3), "do not fit its settings: intrinsic_est", "use the code, the settings"),
         (_settings(estimator="my_own"), "unknown estimator 'my_own'", "register_estimator"),
         (_settings(imports=["no_such_module"]), "cannot import 'no_such_module'", "run where it can be found"),
         (_settings(robot="/gone/mine.toml"), "no robot file /gone/mine.toml", "check its path"),
         (_settings(tomorrows_setting=1), "unknown setting 'tomorrows_setting'", "list settings"),
-        (_fill(float("nan")), "NaN or infinity in encoder.net.0.weight", "use an earlier checkpoint"),
+        (_fill(float("nan")), "NaN or infinity in encoder.net.0.even.weight", "use an earlier checkpoint"),
     ],
 )
 @pytest.mark.parametrize("command", [("train", "--resume"), ("evaluate",)], ids=["resume", "evaluate"])

@@ -123,6 +123,9 @@ def load_run(
     config = run_config(state, run, device="cpu")  # wherever it was trained
     import_modules(config.imports)
     env = make_env(config, **{"compiled": False, **env_overrides})  # to look at, where there may be no compiler
-    networks = make_run_networks(config, env)
+    own = env
+    if "transporter" in env_overrides:  # networks keep the symmetry of what they were trained on, wherever they ride
+        own = make_env(config, num_envs=1, compiled=False)
+    networks = make_run_networks(config, own)
     load_networks(networks, state["learner"]["networks"], run)
     return config, env, networks, state
