@@ -3,7 +3,7 @@
 ``python -m benchmarks.time_to_skill`` trains with the default recipe until the deployed policy meets the bar. It is
 evaluated every few minutes, as ``torchrl-atr evaluate`` does it, which is not part of the training time. Three seeds
 take hours: stopped and called again, it goes on where it was. Seeds may be trained side by side, one process and one
-core each; a call with all of them then writes the report.
+core each: every call reports all runs in the folder.
 """
 
 from __future__ import annotations
