@@ -24,7 +24,7 @@ _HEADLINES = (
 
 def train(arguments: argparse.Namespace) -> int:
     """``torchrl-atr train``; a run that a signal stopped ends as shells expect, with 128 and the signal's number."""
-    from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
+    from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config, read_config, run_config
     from torchrl_atr.training.checkpoint import NAME
 
     if arguments.resume is not None:
@@ -32,9 +32,18 @@ def train(arguments: argparse.Namespace) -> int:
     output = arguments.output or DEFAULT_RUN
     if (output / NAME).exists() and not arguments.overwrite:
         raise ConfigError(f"{output} holds a run; give another --output, --resume {output}, or --overwrite")
+    start = arguments.start
+    if start is not None and start.resolve() == output.resolve():
+        raise ConfigError(f"--from {start}: a run cannot replace the one that it begins from; give another --output")
+    state = None if start is None else load_checkpoint(start)
     values = read_config(arguments.config) if arguments.config else {}
     values |= {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
-    return _exit_code(Trainer(make_config(values, arguments.overrides), output).train())
+    if state is not None:
+        values = run_config(state, start, **values).to_dict()
+    trainer = Trainer(make_config(values, arguments.overrides), output)
+    if state is not None:
+        trainer.begin_from(state, start)
+    return _exit_code(trainer.train())
 
 
 def _resume(arguments: argparse.Namespace) -> int:

@@ -28,7 +28,7 @@ SETTINGS = (
     "workers",
 )
 """Settings that have an option of their own."""
-PLACES = ("config", "overrides", "output", "overwrite")
+PLACES = ("config", "overrides", "output", "overwrite", "start")
 """What else ``train`` takes."""
 RESUMABLE = ("total_frames", "max_minutes", "device")
 
@@ -67,7 +67,7 @@ _seed = _number(int, 0, 2**31 - 1)
 
 def option(name: str) -> str:
     """What the command line calls a setting."""
-    return {"imports": "--import", "overrides": "--set"}.get(name, f"--{name.replace('_', '-')}")
+    return {"imports": "--import", "overrides": "--set", "start": "--from"}.get(name, f"--{name.replace('_', '-')}")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -116,7 +116,9 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--output", type=_path, metavar="RUN", help=f"the run folder; default: {DEFAULT_RUN}")
     parser.add_argument("--overwrite", action="store_const", const=True, help="replace a run in that folder")
-    parser.add_argument("--resume", type=_run, metavar="RUN", help="go on from this run's checkpoint")
+    parser.add_argument("--resume", type=_run, metavar="RUN", help="go on with this run as if it had not stopped")
+    begin_text = "begin a new run with this one's networks, command grid and settings, those given here excepted"
+    parser.add_argument("--from", dest="start", type=_run, metavar="RUN", help=begin_text)
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import platform
 import shlex
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,20 +15,26 @@ from torchrl_atr.training.config import TrainConfig
 _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 
 
-def provenance(config: TrainConfig, frames: int, seconds: float) -> dict[str, Any]:
+def provenance(
+    config: TrainConfig, frames: int, seconds: float, start: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """What ``run.json`` holds.
 
     Args:
         config: of the run.
         frames: robot steps so far.
         seconds: of training so far, wall clock.
+        start: of a run that began from another one: that one's ``run`` (its folder), ``config`` and ``provenance``,
+            the last of which is what ``from`` holds.
     """
+    origin = {} if start is None else {"from": {"run": start["run"], **start["provenance"]}}
     return {
-        "command": command_line(config),
+        "command": command_line(config, start),
         "seed": config.seed,
         "frames": frames,
         "minutes": round(seconds / 60, 2),
         **machine(config.device),
+        **origin,
     }
 
 
@@ -55,22 +61,27 @@ def cores(hardware: dict[str, Any]) -> str:
     return f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)} ({hardware['processor']})"
 
 
-def command_line(config: TrainConfig) -> str:
-    """The command that starts such a run: what differs from the defaults, and the seed.
+def command_line(config: TrainConfig, start: Mapping[str, Any] | None = None) -> str:
+    """The command that starts such a run: what differs from the defaults, or from the run that it began from.
 
     Example:
         >>> command_line(TrainConfig(gamma=0.9))
         'torchrl-atr train --robot a1 --transporter single_board --seed 0 --set gamma=0.9'
+        >>> command_line(TrainConfig(gamma=0.9, seed=1), {"run": "runs/ride", "config": {"gamma": 0.8}})
+        'torchrl-atr train --from runs/ride --seed 1 --set gamma=0.9'
     """
-    parts = [
-        f"torchrl-atr train --robot {shlex.quote(config.robot)} --transporter {config.transporter} --seed {config.seed}"
-    ]
-    for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if field.name not in ("robot", "transporter", "seed") and value != field.default:
-            text = ",".join(map(str, value)) if isinstance(value, tuple) else value
-            parts.append(f"--set {field.name}={text}")
-    return " ".join(parts)
+    defaults = TrainConfig().to_dict()
+    if start is None:
+        named = {name: getattr(config, name) for name in ("robot", "transporter", "seed")}
+    else:
+        named = {"from": start["run"], "seed": config.seed}
+        defaults |= start["config"]
+    parts = [f"--{name} {shlex.quote(str(value))}" for name, value in named.items()]
+    for name, value in config.to_dict().items():
+        if name not in named and value != defaults[name]:
+            text = ",".join(map(str, value)) if isinstance(value, list) else value
+            parts.append(f"--set {name}={text}")
+    return " ".join(["torchrl-atr train", *parts])
 
 
 def _processor() -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -62,9 +62,24 @@ class Trainer:
         self._mark = time.monotonic()  # the end of the last iteration
         self._carried: dict[str, Any] = {}  # what the next batch depends on besides the networks
         self._rng: torch.Tensor | None = None
+        self._start: dict[str, Any] | None = None  # the run that this one began from
         if state is not None:
             self._restore(state)
         self.progress = Progress(run, config, resume_from=self.frames if state is not None else None)
+
+    def begin_from(self, state: Mapping[str, Any], run: Path) -> None:
+        """Takes over what another run has learned, its networks and its command grid; all else begins anew.
+
+        Args:
+            state: its checkpoint.
+            run: its folder, for messages and ``run.json``.
+
+        Raises:
+            CheckpointError: if its networks do not fit this run's settings.
+        """
+        load_networks(self.learner.networks, state["learner"]["networks"], run)
+        self.curriculum.load_weights(state["curriculum"]["weights"])
+        self._start = {"run": str(run), "config": state["config"], "provenance": state["provenance"]}
 
     def train(self, on_iteration: Callable[[dict[str, float]], bool | None] | None = None) -> int | None:
         """Trains until ``total_frames`` or ``max_minutes``, saving a checkpoint first, now and then, and last.
@@ -183,7 +198,7 @@ class Trainer:
 
     def save(self) -> None:
         """Writes the checkpoint (config, learner, curriculum, collection, counters) and where it comes from."""
-        origin = provenance(self.config, self.frames, self.seconds)
+        origin = provenance(self.config, self.frames, self.seconds, self._start)
         write_json(self.run / "run.json", origin)
         if "collection" in vars(self):
             self._carried = self.collection.state_dict()
@@ -193,6 +208,7 @@ class Trainer:
             self.run / NAME,
             {
                 "config": self.config.to_dict(),
+                "start": self._start,
                 "learner": self.learner.state_dict(),
                 "curriculum": {"weights": self.curriculum.weights, **self.curriculum.get_extra_state()},
                 "collection": self._carried,
@@ -214,6 +230,7 @@ class Trainer:
         self.curriculum.set_extra_state({k: v for k, v in state["curriculum"].items() if k != "weights"})
         self.frames, self.iteration = state["frames"], state["iteration"]
         self.seconds = state["seconds"]
+        self._start = state.get("start")
         self._carried, self._rng = state.get("collection", {}), state["rng"]
         self.reward = state.get("reward", 0.0)
         self.best_reward = state.get("best_reward", float("-inf"))
