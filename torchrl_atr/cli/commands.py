@@ -35,15 +35,11 @@ def train(arguments: argparse.Namespace) -> int:
     start = arguments.start
     if start is not None and start.resolve() == output.resolve():
         raise ConfigError(f"--from {start}: a run cannot replace the one that it begins from; give another --output")
-    state = None if start is None else load_checkpoint(start)
     values = read_config(arguments.config) if arguments.config else {}
     values |= {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
-    if state is not None:
-        values = run_config(state, start, **values).to_dict()
-    trainer = Trainer(make_config(values, arguments.overrides), output)
-    if state is not None:
-        trainer.begin_from(state, start)
-    return _exit_code(trainer.train())
+    if start is not None:
+        values = run_config(load_checkpoint(start), start, **values).to_dict()
+    return _exit_code(Trainer(make_config(values, arguments.overrides), output, start=start).train())
 
 
 def _resume(arguments: argparse.Namespace) -> int:

@@ -13,7 +13,6 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import NetworkKeys, RidingNetworks, leg_synergies, make_networks
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig
@@ -26,8 +25,9 @@ DEPLOYED: dict[str, Any] = {
     "max_steps": 2**31 - 1,
     "retry": 0.0,
     "compiled": False,
+    "grid": None,
 }
-"""Env arguments without what belongs to training only: a ride from rest that nothing but a fall ends."""
+"""Env arguments without what belongs to training only: a ride from rest, at any command, that only a fall ends."""
 
 
 def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
@@ -53,9 +53,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "thresholds": (config.tracking_threshold,) * 2,
         "score_from": round(config.score_from_seconds / CONTROL_DT),
         "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
-        "grid": CommandGrid(
-            initial=(config.initial_speed, config.initial_yaw_rate), count_own_twice=config.count_own_twice
-        ),
+        "grid": config.grid,
     }
     return make_riding_env(**{**arguments, **overrides})
 

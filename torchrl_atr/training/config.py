@@ -16,6 +16,7 @@ from torchrl_atr.envs.models import get_robot, get_transporter
 from torchrl_atr.envs.models.robot_file import is_robot_file
 from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import SOURCES, Source
 
 COLLECTORS = ("direct", "process", "ray", "distributed")
@@ -81,6 +82,7 @@ class TrainConfig:
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).
         initial_speed, initial_yaw_rate: half widths of the first command box, m/s and rad/s.
+        max_speed, max_yaw_rate: half widths of the box that commands never leave, m/s and rad/s, multiples of 0.2.
         runaway_speed, runaway_yaw_rate: how much faster than any command a transporter may get before its episode ends.
         checkpoint_seconds: longest time between checkpoints.
     """
@@ -141,6 +143,8 @@ class TrainConfig:
     count_own_twice: bool = False
     initial_speed: float = 1.0
     initial_yaw_rate: float = 0.3
+    max_speed: float = 15.0
+    max_yaw_rate: float = 2.0
     runaway_speed: float = 2.0
     runaway_yaw_rate: float = 2.0
     checkpoint_seconds: float = 60.0
@@ -180,9 +184,24 @@ class TrainConfig:
                 f"learning_rate={self.learning_rate:g} must not exceed max_learning_rate={self.max_learning_rate:g}, "
                 "up to which it is adapted"
             )
+        try:
+            _ = self.grid
+        except ValueError as error:
+            names = ("initial_speed", "initial_yaw_rate", "max_speed", "max_yaw_rate")
+            given = ", ".join(f"{name}={getattr(self, name):g}" for name in names)
+            raise ConfigError(f"{given}: {error}") from error
         for name in ("init_std", "relative_std", "final_std"):
             if self.min_std >= getattr(self, name):
                 raise ConfigError(f"min_std={self.min_std:g} must be below {name}={getattr(self, name):g}")
+
+    @property
+    def grid(self) -> CommandGrid:
+        """The curriculum's cells and its rule."""
+        return CommandGrid(
+            bounds=(self.max_speed, self.max_yaw_rate),
+            initial=(self.initial_speed, self.initial_yaw_rate),
+            count_own_twice=self.count_own_twice,
+        )
 
     @property
     def frames_per_batch(self) -> int:
@@ -247,6 +266,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "score_from_seconds": (0, 1e6),
     "initial_speed": (_POSITIVE, 15.0),
     "initial_yaw_rate": (_POSITIVE, 2.0),
+    "max_speed": (_POSITIVE, 15.0),
+    "max_yaw_rate": (_POSITIVE, 2.0),
     "runaway_speed": (_POSITIVE, 1e6),
     "runaway_yaw_rate": (_POSITIVE, 1e6),
     "checkpoint_seconds": (0, 1e6),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from torchrl_atr._files import say, sweep, write_json
 from torchrl_atr.envs.task.rewards import MAX_TRACKING, reward_scale
 from torchrl_atr.modules import RidingNetworks, correlate, get_estimator
 from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
-from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, save_checkpoint
+from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import Collection, CollectionError
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.interrupt import Interrupt
@@ -24,7 +24,7 @@ from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
-from torchrl_atr.training.restoring import load_networks
+from torchrl_atr.training.restoring import load_networks, run_config
 
 _MEMORY = 0.05
 """Weight of an iteration in the running mean of the episode reward."""
@@ -38,16 +38,18 @@ class Trainer:
         run: folder for config, checkpoint, logs; made if missing.
         state: a checkpoint to go on from. With ``collector="direct"``, the same threads and no time limit, the run goes
             on bit for bit as if it had not stopped.
+        start: folder of another run, whose networks and command grid a new one begins with; all else begins anew.
+
+    Raises:
+        CheckpointError: if the networks of either do not fit the settings.
     """
 
-    def __init__(self, config: TrainConfig, run: Path, state: dict[str, Any] | None = None) -> None:
+    def __init__(
+        self, config: TrainConfig, run: Path, state: dict[str, Any] | None = None, start: Path | None = None
+    ) -> None:
         self.config, self.run = config, run
         import_modules(config.imports)
-        get_estimator(config.estimator)  # an unknown name is refused before anything is written
-        run.mkdir(parents=True, exist_ok=True)
-        sweep(run)
-        if state is None:
-            _clear(run)
+        get_estimator(config.estimator)
         torch.manual_seed(config.seed)
         self._make_env = partial(make_env, config, dump_dir=run.resolve() / "diverged")
         self.env = self._make_env()
@@ -65,21 +67,13 @@ class Trainer:
         self._start: dict[str, Any] | None = None  # the run that this one began from
         if state is not None:
             self._restore(state)
+        elif start is not None:
+            self._begin_from(start)
+        run.mkdir(parents=True, exist_ok=True)  # here at last: what is refused has written and removed nothing
+        sweep(run)
+        if state is None:
+            _clear(run)
         self.progress = Progress(run, config, resume_from=self.frames if state is not None else None)
-
-    def begin_from(self, state: Mapping[str, Any], run: Path) -> None:
-        """Takes over what another run has learned, its networks and its command grid; all else begins anew.
-
-        Args:
-            state: its checkpoint.
-            run: its folder, for messages and ``run.json``.
-
-        Raises:
-            CheckpointError: if its networks do not fit this run's settings.
-        """
-        load_networks(self.learner.networks, state["learner"]["networks"], run)
-        self.curriculum.load_weights(state["curriculum"]["weights"])
-        self._start = {"run": str(run), "config": state["config"], "provenance": state["provenance"]}
 
     def train(self, on_iteration: Callable[[dict[str, float]], bool | None] | None = None) -> int | None:
         """Trains until ``total_frames`` or ``max_minutes``, saving a checkpoint first, now and then, and last.
@@ -222,6 +216,13 @@ class Trainer:
             },
             best=best,
         )
+
+    def _begin_from(self, run: Path) -> None:
+        state = load_checkpoint(run)
+        run_config(state, run, device=self.config.device)  # whether it is whole
+        load_networks(self.learner.networks, state["learner"]["networks"], run)
+        self.curriculum.load_weights(self.curriculum.grid.fitted(state["curriculum"]["weights"]))
+        self._start = {"run": str(run), "config": state["config"], "provenance": state["provenance"]}
 
     def _restore(self, state: dict[str, Any]) -> None:
         load_networks(self.learner.networks, state["learner"]["networks"], self.run)

@@ -190,3 +190,15 @@ def test_bad_settings_are_named(arguments, words):
 def test_bad_weights_are_refused(weights, words):
     with pytest.raises(ValueError, match=words):
         SMALL.validate(weights)
+
+
+def test_weights_are_cut_or_filled_up_around_rest():
+    wide, narrow = CommandGrid(), CommandGrid(bounds=(2.2, 1.2), initial=(1.0, 0.2))
+    weights = torch.rand(151, 21, generator=torch.Generator().manual_seed(0))
+    cut = narrow.fitted(weights)
+    assert torch.equal(cut, weights[64:87, 4:17])
+    back = wide.fitted(cut)
+    assert torch.equal(back[64:87, 4:17], cut)
+    assert back.count_nonzero() == cut.count_nonzero()
+    with pytest.raises(ValueError, match="positive cell"):
+        narrow.fitted(weights * (wide.centres(torch.arange(151 * 21))[:, 0].abs() > 3).reshape(151, 21))

@@ -117,6 +117,26 @@ class CommandGrid:
             raise ValueError("weights must have at least one positive cell to draw commands from")
         return weights
 
+    def fitted(self, weights: Tensor) -> Tensor:
+        """Weights of a grid with the same bins and other bounds, cut or filled up with zeros to this one's.
+
+        Args:
+            weights: of that grid, with odd numbers of cells along both axes.
+
+        Returns:
+            ``shape``.
+
+        Raises:
+            ValueError: No weight is left within these bounds.
+
+        Example:
+            >>> narrow, wide = CommandGrid(bounds=(2.0, 1.0)), CommandGrid()
+            >>> torch.equal(wide.fitted(narrow.initial_weights()), wide.initial_weights())
+            True
+        """
+        rows, columns = ((own - other) // 2 for own, other in zip(self.shape, weights.shape, strict=True))
+        return self.validate(functional.pad(weights, (columns, columns, rows, rows)))
+
     def centres(self, cells: Tensor) -> Tensor:
         """Commands at the centres of flat cell indices.
 
