@@ -5,5 +5,13 @@ from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.runaway import RunawayTermination
 from torchrl_atr.envs.transforms.stack import riding_transforms
+from torchrl_atr.envs.transforms.stagger import StaggeredCounter
 
-__all__ = ["CommandCurriculum", "CommandGrid", "ObservationHistory", "RunawayTermination", "riding_transforms"]
+__all__ = [
+    "CommandCurriculum",
+    "CommandGrid",
+    "ObservationHistory",
+    "RunawayTermination",
+    "StaggeredCounter",
+    "riding_transforms",
+]

@@ -10,6 +10,7 @@ from torchrl.envs.transforms import CatTensors, Compose, RewardSum, StepCounter
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.runaway import RunawayTermination
+from torchrl_atr.envs.transforms.stagger import StaggeredCounter
 
 
 def riding_transforms(
@@ -18,6 +19,7 @@ def riding_transforms(
     history_length: int = 10,
     include_current: bool = False,
     max_steps: int = 1000,
+    stagger: bool = False,
     runaway_margin: tuple[float, float] | None = None,
     runaway_penalty: float = 0.0,
     **curriculum: Any,
@@ -34,6 +36,7 @@ def riding_transforms(
         history_length: H, past observations in ``history``.
         include_current: Whether the history ends with o_t (reading A19).
         max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
+        stagger: Whether the first episodes end at different times: a :class:`StaggeredCounter`.
         runaway_margin: If given, of a :class:`RunawayTermination` behind the curriculum, m/s and rad/s.
         runaway_penalty: Added to the reward of a runaway.
         **curriculum: Further arguments of :class:`CommandCurriculum`, such as ``window``, ``grid`` or
@@ -53,6 +56,6 @@ def riding_transforms(
         *guards,
         CatTensors(["proprio", command.command_key], "observation", sort=False, del_keys=False),
         ObservationHistory(history_length, include_current=include_current),
-        StepCounter(max_steps),
+        StaggeredCounter(max_steps) if stagger else StepCounter(max_steps),
         RewardSum(),
     )
