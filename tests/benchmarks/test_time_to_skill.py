@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import time_to_skill
 
-TINY = ["--minutes", "0.05", "--every", "0.02", "--seeds", "0", "--num-envs", "8", "--robots-per-command", "1"]
+TINY = ["--minutes", "0.05", "--every", "0.02", "--seeds", "0", "--set", "num_envs=8", "--robots-per-command", "1"]
 
 
 @pytest.fixture

@@ -59,7 +59,7 @@ class TrainConfig:
         relative_std: exploration of what legs do against each other.
         min_std: floor of both.
         noise_correlation: of the exploration from one control step to the next, in [0, 1).
-        final_std: ceiling of the exploration at the end of the run, lowered linearly from ``init_std`` after
+        final_std: ceiling of the exploration at the end of the run, lowered geometrically from ``init_std`` after
             ``anneal_from`` of it.
         anneal_from: share of the run, in [0, 1).
         smoothness_coeff: pull of the mean action towards that of the step before.

@@ -87,7 +87,7 @@ class Learner:
         """
         config = self.config
         late = min(max(0.0, progress - config.anneal_from) / (1 - config.anneal_from), 1.0)
-        self.networks.backbone.std.cap_(config.init_std + late * (config.final_std - config.init_std))
+        self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
         if self._roa_ramp is not None:
             self._roa_ramp.step(progress)
