@@ -21,6 +21,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
+from benchmarks.results import refuse_other_settings
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr.envs import ROBOTS
@@ -30,14 +31,12 @@ from torchrl_atr.evaluation.access import command_owner
 from torchrl_atr.evaluation.tracking import MakeEnv
 from torchrl_atr.training import (
     DEPLOYED,
-    ConfigError,
     TrainConfig,
     Trainer,
     load_checkpoint,
     load_run,
     make_config,
     make_env,
-    read_config,
 )
 from torchrl_atr.training.checkpoint import NAME as CHECKPOINT
 from torchrl_atr.training.provenance import cores
@@ -140,21 +139,6 @@ def compare_run(folder: Path) -> dict[str, Any]:
         "policy_reads": sorted(policy.in_keys),
         **compare(policy, partial(make_env, config, **DEPLOYED), box, ROBOTS_COMPARED, SECONDS, seed),
     }
-
-
-def refuse_other_settings(config: TrainConfig, folder: Path) -> None:
-    """Keeps runs of different settings out of one table.
-
-    Raises:
-        ConfigError: if ``folder`` holds a run that was trained differently.
-    """
-    path = folder / "config.json"
-    if not path.is_file():
-        return
-    asked, found = config.to_dict(), make_config(read_config(path)).to_dict()
-    other = ", ".join(f"{key}={found[key]} instead of {value}" for key, value in asked.items() if found[key] != value)
-    if other:
-        raise ConfigError(f"{folder} was trained with {other}; give another --output, or remove that folder")
 
 
 def summarise(output: Path) -> None:

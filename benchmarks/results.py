@@ -1,4 +1,4 @@
-"""How a measurement is kept: its figures as JSON, and a README that shows them."""
+"""How a measurement is kept: its figures as JSON, a README that shows them, and runs of one kind only."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrl_atr._files import atomic, write_json
+from torchrl_atr.training import ConfigError, TrainConfig, make_config, read_config
 from torchrl_atr.training.provenance import cores
 
 
@@ -27,3 +28,18 @@ def origin(report: dict[str, Any]) -> str:
         '`count`: 3 s on 1 core (Z80).'
     """
     return f"`{report['command']}`: {report['wall_seconds']:.0f} s on {cores(report['hardware'])}."
+
+
+def refuse_other_settings(config: TrainConfig, folder: Path) -> None:
+    """Keeps runs of different settings out of one table.
+
+    Raises:
+        ConfigError: if ``folder`` holds a run that was trained differently.
+    """
+    path = folder / "config.json"
+    if not path.is_file():
+        return
+    asked, found = config.to_dict(), make_config(read_config(path)).to_dict()
+    other = ", ".join(f"{key}={found[key]} instead of {value}" for key, value in asked.items() if found[key] != value)
+    if other:
+        raise ConfigError(f"{folder} was trained with {other}; give another folder, or remove that one")

@@ -39,7 +39,7 @@ def final_return(settings: dict[str, Any], folder: Path) -> float:
     if not trainer.finished:  # it was asked to stop
         raise KeyboardInterrupt
     last = [reward for reward in rewards[-max(1, len(rewards) // 10) :] if reward == reward]
-    return sum(last) / len(last)
+    return sum(last) / len(last) if last else float("nan")
 
 
 def table(report: dict[str, Any]) -> str:

@@ -94,4 +94,4 @@ def test_runs_of_other_settings_are_refused(tmp_path, capsys):
     folder.mkdir()
     (folder / "config.json").write_text('{"max_minutes": 3.0}')
     assert every_pair.main(["--output", str(tmp_path), "--pairs", "a1:single_board"]) == 2
-    assert "trained with max_minutes=3.0 instead of 10.0; give another --output" in capsys.readouterr().err
+    assert "trained with max_minutes=3.0 instead of 10.0; give another folder" in capsys.readouterr().err

@@ -1,7 +1,8 @@
-"""Training until a bar is met, on seconds of training."""
+"""Training until a bar is met, on a clock of which an iteration takes half a second."""
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import pytest
@@ -11,16 +12,18 @@ from benchmarks import time_to_skill
 TINY = ["--minutes", "0.05", "--every", "0.02", "--seeds", "0", "--set", "num_envs=8", "--robots-per-command", "1"]
 
 
-@pytest.fixture
-def small_grid(monkeypatch):
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    """A grid of four commands, and a clock that a loaded machine does not slow down."""
     monkeypatch.setattr(time_to_skill, "GRID", (2.0, 1.0, 2.0, 1.0))
+    monkeypatch.setattr("torchrl_atr.training.trainer.time.monotonic", itertools.count(step=0.1).__next__)
 
 
 def arguments(folder):
     return [*TINY, "--output", str(folder), "--runs", str(folder / "runs")]
 
 
-def test_nobody_is_skilled_after_three_seconds(tmp_path, small_grid):
+def test_nobody_is_skilled_after_three_seconds(tmp_path):
     assert time_to_skill.main(arguments(tmp_path)) == 0
     (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
     evaluations = run["evaluations"]
@@ -31,7 +34,7 @@ def test_nobody_is_skilled_after_three_seconds(tmp_path, small_grid):
     assert "0 of 1 seeds met it" in (tmp_path / "README.md").read_text()
 
 
-def test_a_run_that_meets_the_bar_ends(tmp_path, small_grid, monkeypatch):
+def test_a_run_that_meets_the_bar_ends(tmp_path, monkeypatch):
     monkeypatch.setattr(time_to_skill, "BAR", {"survival": (0.0, 1.0)})
     assert time_to_skill.main(arguments(tmp_path)) == 0
     (run,) = json.loads((tmp_path / "time_to_skill.json").read_text())["runs"]
@@ -39,7 +42,7 @@ def test_a_run_that_meets_the_bar_ends(tmp_path, small_grid, monkeypatch):
     assert "1 of 1 seeds met it" in (tmp_path / "README.md").read_text()
 
 
-def test_a_run_that_was_stopped_goes_on(tmp_path, small_grid, monkeypatch):
+def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
     evaluate, stops = time_to_skill.evaluate, iter([None, KeyboardInterrupt])
 
     def stopping(*given):
@@ -48,8 +51,7 @@ def test_a_run_that_was_stopped_goes_on(tmp_path, small_grid, monkeypatch):
         return evaluate(*given)
 
     monkeypatch.setattr(time_to_skill, "evaluate", stopping)
-    with pytest.raises(KeyboardInterrupt):
-        time_to_skill.main(arguments(tmp_path))
+    assert time_to_skill.main(arguments(tmp_path)) == 130
     first = json.loads((tmp_path / "runs" / "0" / "evaluations.json").read_text())
     assert len(first) == 1
     assert time_to_skill.main(arguments(tmp_path)) == 0
@@ -59,3 +61,12 @@ def test_a_run_that_was_stopped_goes_on(tmp_path, small_grid, monkeypatch):
     again = (tmp_path / "runs" / "0" / "progress.csv").read_bytes()
     assert time_to_skill.main(arguments(tmp_path)) == 0  # nothing is left to do
     assert (tmp_path / "runs" / "0" / "progress.csv").read_bytes() == again
+
+
+def test_other_settings_and_wrong_ones_are_refused(tmp_path, capsys):
+    assert time_to_skill.main(arguments(tmp_path)) == 0
+    assert time_to_skill.main([*arguments(tmp_path), "--set", "gamma=0.9"]) == 2
+    assert "was trained with gamma=0.995 instead of 0.9; give another folder" in capsys.readouterr().err
+    assert time_to_skill.main([*arguments(tmp_path / "other"), "--set", "gama=0.9"]) == 2
+    assert "did you mean 'gamma'?" in capsys.readouterr().err
+    assert not (tmp_path / "other").exists()

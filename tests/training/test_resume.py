@@ -46,13 +46,17 @@ def interrupt_after(iteration):
     return check
 
 
+@pytest.mark.parametrize("other", [None, "other"], ids=["anew", "from another run"])
 @pytest.mark.parametrize("act_source", ["mixed", "privileged"])
-def test_resumed_equals_uninterrupted_bit_for_bit(tmp_path, act_source):
+def test_resumed_equals_uninterrupted_bit_for_bit(tmp_path, act_source, other):
     config = make_config({**SMALL, "act_source": act_source})
-    straight = Trainer(config, tmp_path / "straight")
+    start = other and tmp_path / other
+    if start is not None:
+        Trainer(make_config({**SMALL, "act_source": act_source, "total_frames": 64, "seed": 1}), start).train()
+    straight = Trainer(config, tmp_path / "straight", start=start)
     straight.train()
 
-    first = Trainer(config, tmp_path / "resumed")
+    first = Trainer(config, tmp_path / "resumed", start=start)
     assert first.train(interrupt_after(3)) == signal.SIGTERM
     state = load_checkpoint(tmp_path / "resumed")
     assert state["frames"] == FRAMES // 2

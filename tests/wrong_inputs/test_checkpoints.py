@@ -48,7 +48,7 @@ def _fill(value: float) -> Callable[[dict], object]:
         (_drop("config"), "lacks 'config'", "give a folder that"),
         (_settings(critic_cells=[32]), "critic.net.0.even.weight is (4, ", "use the code, the settings"),
         (_settings(estimator="mlp"), "intrinsic_estimator.net", "use the code, the settings"),
-        (_settings(history_length=3), "do not fit its settings: intrinsic_est", "use the code, the settings"),
+        (_settings(history_length=3), "do not fit these settings: intrinsic_est", "use the code, the settings"),
         (_settings(estimator="my_own"), "unknown estimator 'my_own'", "register_estimator"),
         (_settings(imports=["no_such_module"]), "cannot import 'no_such_module'", "run where it can be found"),
         (_settings(robot="/gone/mine.toml"), "no robot file /gone/mine.toml", "check its path"),
@@ -56,7 +56,11 @@ def _fill(value: float) -> Callable[[dict], object]:
         (_fill(float("nan")), "NaN or infinity in encoder.net.0.even.weight", "use an earlier checkpoint"),
     ],
 )
-@pytest.mark.parametrize("command", [("train", "--resume"), ("evaluate",)], ids=["resume", "evaluate"])
+@pytest.mark.parametrize(
+    "command",
+    [("train", "--resume"), ("train", "--output", "no_run", "--from"), ("evaluate",)],
+    ids=["resume", "from", "evaluate"],
+)
 def test_another_content_is_refused(refused, tmp_path, untouched_run, command, change, culprit, remedy):
     state = torch.load(untouched_run / NAME, weights_only=True)
     change(state)

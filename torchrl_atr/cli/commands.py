@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, make_folder, say
 from torchrl_atr.cli.parser import DEFAULT_RUN, PLACES, RESUMABLE, SETTINGS, option
 from torchrl_atr.listings import LISTINGS
+
+if TYPE_CHECKING:
+    from torchrl_atr.training import TrainConfig
 
 _HEADLINES = (
     "survival",
@@ -24,7 +27,7 @@ _HEADLINES = (
 
 def train(arguments: argparse.Namespace) -> int:
     """``torchrl-atr train``; a run that a signal stopped ends as shells expect, with 128 and the signal's number."""
-    from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config, read_config, run_config
+    from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
     from torchrl_atr.training.checkpoint import NAME
 
     if arguments.resume is not None:
@@ -32,14 +35,26 @@ def train(arguments: argparse.Namespace) -> int:
     output = arguments.output or DEFAULT_RUN
     if (output / NAME).exists() and not arguments.overwrite:
         raise ConfigError(f"{output} holds a run; give another --output, --resume {output}, or --overwrite")
-    start = arguments.start
-    if start is not None and start.resolve() == output.resolve():
-        raise ConfigError(f"--from {start}: a run cannot replace the one that it begins from; give another --output")
     values = read_config(arguments.config) if arguments.config else {}
     values |= {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
-    if start is not None:
-        values = run_config(load_checkpoint(start), start, **values).to_dict()
-    return _exit_code(Trainer(make_config(values, arguments.overrides), output, start=start).train())
+    if arguments.start is None:
+        config = make_config(values, arguments.overrides)
+    else:
+        config = _config_from(arguments.start, values, arguments.overrides)
+    return _exit_code(Trainer(config, output, start=arguments.start).train())
+
+
+def _config_from(run: Path, values: dict[str, Any], overrides: list[str] | None) -> TrainConfig:
+    """The settings of another run with those that are given in their place."""
+    from torchrl_atr.training import ConfigError, load_checkpoint, make_config
+    from torchrl_atr.training.restoring import check_parts
+
+    state = load_checkpoint(run)
+    check_parts(state, run)
+    config = make_config({**state["config"], **values}, overrides)
+    if config.profile != state["config"]["profile"]:  # it would take the recipe of one and the physics of the other
+        raise ConfigError(f"--profile {config.profile}: --from {run} keeps that run's, {state['config']['profile']}")
+    return config
 
 
 def _resume(arguments: argparse.Namespace) -> int:

@@ -115,7 +115,7 @@ class RidingNetworks(nn.Module):
         return self._actor(source, self.encoder_module, *estimators, assign)
 
     def deployed_policy(self) -> ProbabilisticActor:
-        """Return the policy of the real robot: it reads history and observation, nothing privileged."""
+        """Return the policy of the real robot: it reads history, observation and odometry, nothing privileged."""
         return self.rollout_policy("estimated")
 
     def update_normalizers(self, tensordict: TensorDictBase) -> None:

@@ -31,6 +31,10 @@ DEPLOYED: dict[str, Any] = {
 """Env arguments without what belongs to training only: a ride from rest, at any command, that only a fall ends."""
 
 
+_TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": False}
+"""Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
+
+
 def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
     """The env that a configuration describes.
 
@@ -122,10 +126,10 @@ def load_run(
     state = load_checkpoint(run if checkpoint is None else run / checkpoint)
     config = run_config(state, run, device="cpu")  # wherever it was trained
     import_modules(config.imports)
-    env = make_env(config, **{"compiled": False, **env_overrides})  # to look at, where there may be no compiler
+    env = make_env(config, **{**_TO_LOOK_AT, **env_overrides})
     own = env
     if "transporter" in env_overrides:  # networks keep the symmetry of what they were trained on, wherever they ride
-        own = make_env(config, num_envs=1, compiled=False)
+        own = make_env(config, num_envs=1, **_TO_LOOK_AT)
     networks = make_run_networks(config, own)
     load_networks(networks, state["learner"]["networks"], run)
     return config, env, networks, state

@@ -73,6 +73,7 @@ class Collection:
         self.callable = config.collector in ("process", "ray")
         self._broken = False
         self._started = started
+        self._others = set(multiprocessing.active_children())  # of whoever uses this
         try:
             with self._workers("could not be started"):
                 self.collector = self._make(make_env)
@@ -218,7 +219,7 @@ class Collection:
                 raise
         finally:
             if self._broken:  # it may not have got to its workers, or never have been made
-                for process in multiprocessing.active_children():
+                for process in set(multiprocessing.active_children()) - self._others:
                     process.kill()
                     process.join()
             if torch.distributed.is_initialized():

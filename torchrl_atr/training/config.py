@@ -55,7 +55,8 @@ class TrainConfig:
         final_kl: what ``target_kl`` sinks to while the exploration is annealed, so that the policy settles.
         critic_learning_rate, estimator_learning_rate: fixed.
         clip_epsilon, entropy_coeff, max_grad_norm: PPO.
-        init_std: exploration of what all legs do alike (lean, shift, lift), in units of the action.
+        init_std: exploration of what all legs do alike (lean, shift, lift), in units of the action; in a run that
+            begins with another's networks, the ceiling at first.
         relative_std: exploration of what legs do against each other.
         min_std: floor of both.
         noise_correlation: of the exploration from one control step to the next, in [0, 1).

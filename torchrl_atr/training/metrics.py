@@ -22,9 +22,9 @@ def batch_metrics(batch: TensorDictBase, tracking_max: dict[str, float]) -> dict
     Returns:
         ``speed_error`` (m/s) and ``yaw_error`` (rad/s), recovered from the tracking rewards; the same for the robots
         that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw rate
-        that is reached (moving starts give an untrained rider some); ``episode_length`` (steps) and
-        ``episode_reward`` of finished episodes where there are any; ``falls``, terminations per robot and second,
-        runaways included; ``reward/...`` means of the terms.
+        that is reached (moving starts give an untrained rider some); ``episode_length`` (steps, with those that
+        staggered first episodes begin at) and ``episode_reward`` of finished episodes where there are any;
+        ``falls``, terminations per robot and second, runaways included; ``reward/...`` means of the terms.
     """
     after = batch["next"]
     metrics = {}

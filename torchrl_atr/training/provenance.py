@@ -80,7 +80,7 @@ def command_line(config: TrainConfig, start: Mapping[str, Any] | None = None) ->
     for name, value in config.to_dict().items():
         if name not in named and value != defaults[name]:
             text = ",".join(map(str, value)) if isinstance(value, list) else value
-            parts.append(f"--set {name}={text}")
+            parts.append(f"--set {shlex.quote(f'{name}={text}')}")
     return " ".join(["torchrl-atr train", *parts])
 
 

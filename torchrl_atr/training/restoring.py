@@ -23,7 +23,26 @@ _PARTS = (
     ("rng",),
     ("provenance",),
 )
-"""What everything that reads a run relies on."""
+
+
+def check_parts(state: Mapping[str, Any], run: Path) -> None:
+    """Checks that a checkpoint holds what everything that reads a run relies on.
+
+    Args:
+        state: from :func:`~torchrl_atr.training.load_checkpoint`.
+        run: where it is from, for messages.
+
+    Raises:
+        CheckpointError: if a part is missing.
+    """
+    for path in _PARTS:
+        part: Any = state
+        for name in path:
+            if not isinstance(part, Mapping) or name not in part:
+                raise CheckpointError(
+                    f"the checkpoint in {run} lacks {'/'.join(path)!r}; give a folder that `torchrl-atr train` wrote"
+                )
+            part = part[name]
 
 
 def run_config(state: Mapping[str, Any], run: Path, **changed: Any) -> TrainConfig:
@@ -37,14 +56,7 @@ def run_config(state: Mapping[str, Any], run: Path, **changed: Any) -> TrainConf
     Raises:
         CheckpointError: if a part is missing, or a setting does not work with this code or on this machine.
     """
-    for path in _PARTS:
-        part: Any = state
-        for name in path:
-            if not isinstance(part, Mapping) or name not in part:
-                raise CheckpointError(
-                    f"the checkpoint in {run} lacks {'/'.join(path)!r}; give a folder that `torchrl-atr train` wrote"
-                )
-            part = part[name]
+    check_parts(state, run)
     try:
         return make_config({**state["config"], **changed})
     except UserError as error:
@@ -55,7 +67,7 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
     """Loads trained networks, or says in a line why they do not fit.
 
     Args:
-        networks: made by the run's settings.
+        networks: made by the settings of that run, or of one that begins from it.
         weights: their ``state_dict`` from the checkpoint.
         run: where it is from, for messages.
 
@@ -67,7 +79,7 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
     if different:
         name = different[0]
         raise CheckpointError(
-            f"the networks in {run} do not fit its settings: {name} is {there.get(name, 'missing')} in the file and "
+            f"the networks in {run} do not fit these settings: {name} is {there.get(name, 'missing')} in the file and "
             f"{here.get(name, 'missing')} here ({len(different)} differ); use the code, the settings and the estimator "
             "that trained them"
         )

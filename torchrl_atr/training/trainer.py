@@ -18,13 +18,13 @@ from torchrl_atr.modules import RidingNetworks, correlate, get_estimator
 from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import Collection, CollectionError
-from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.interrupt import Interrupt
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
-from torchrl_atr.training.restoring import load_networks, run_config
+from torchrl_atr.training.restoring import check_parts, load_networks
 
 _MEMORY = 0.05
 """Weight of an iteration in the running mean of the episode reward."""
@@ -42,6 +42,7 @@ class Trainer:
 
     Raises:
         CheckpointError: if the networks of either do not fit the settings.
+        ConfigError: if ``start`` is ``run`` itself.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class Trainer:
         self.config, self.run = config, run
         import_modules(config.imports)
         get_estimator(config.estimator)
+        other = None if start is None else _read_other(start, run)
         torch.manual_seed(config.seed)
         self._make_env = partial(make_env, config, dump_dir=run.resolve() / "diverged")
         self.env = self._make_env()
@@ -57,7 +59,16 @@ class Trainer:
         scale = reward_scale(self.env.base_env.readings)
         self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
         networks = make_run_networks(config, self.env)
-        self._acquaint(networks)
+        if state is not None:
+            load_networks(networks, state["learner"]["networks"], run)
+        elif other is not None:
+            load_networks(networks, other["learner"]["networks"], Path(other["run"]))
+        run.mkdir(parents=True, exist_ok=True)  # not before: what is refused has written and removed nothing
+        sweep(run)
+        if state is None:
+            _clear(run)
+        if state is None and other is None:
+            self._acquaint(networks)
         self.learner = Learner(networks.to(config.device), config)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
         self.reward, self.best_reward = 0.0, float("-inf")  # of episodes: running mean, and the best at a checkpoint
@@ -67,12 +78,8 @@ class Trainer:
         self._start: dict[str, Any] | None = None  # the run that this one began from
         if state is not None:
             self._restore(state)
-        elif start is not None:
-            self._begin_from(start)
-        run.mkdir(parents=True, exist_ok=True)  # here at last: what is refused has written and removed nothing
-        sweep(run)
-        if state is None:
-            _clear(run)
+        elif other is not None:
+            self._begin_from(other)
         self.progress = Progress(run, config, resume_from=self.frames if state is not None else None)
 
     def train(self, on_iteration: Callable[[dict[str, float]], bool | None] | None = None) -> int | None:
@@ -217,15 +224,12 @@ class Trainer:
             best=best,
         )
 
-    def _begin_from(self, run: Path) -> None:
-        state = load_checkpoint(run)
-        run_config(state, run, device=self.config.device)  # whether it is whole
-        load_networks(self.learner.networks, state["learner"]["networks"], run)
-        self.curriculum.load_weights(self.curriculum.grid.fitted(state["curriculum"]["weights"]))
-        self._start = {"run": str(run), "config": state["config"], "provenance": state["provenance"]}
+    def _begin_from(self, other: dict[str, Any]) -> None:
+        grid = self.curriculum.grid
+        self.curriculum.load_weights(grid.merge(grid.fitted(other["curriculum"]["weights"]), grid.initial_weights()))
+        self._start = {name: other[name] for name in ("run", "config", "provenance")}
 
     def _restore(self, state: dict[str, Any]) -> None:
-        load_networks(self.learner.networks, state["learner"]["networks"], self.run)
         self.learner.load_state_dict(state["learner"])
         self.curriculum.load_weights(state["curriculum"]["weights"])
         self.curriculum.set_extra_state({k: v for k, v in state["curriculum"].items() if k != "weights"})
@@ -235,6 +239,15 @@ class Trainer:
         self._carried, self._rng = state.get("collection", {}), state["rng"]
         self.reward = state.get("reward", 0.0)
         self.best_reward = state.get("best_reward", float("-inf"))
+
+
+def _read_other(start: Path, run: Path) -> dict[str, Any]:
+    """The checkpoint of the run that a new one begins from, and its folder as ``run``."""
+    if start.resolve() == run.resolve():
+        raise ConfigError(f"{run}: a run cannot replace the one that it begins from; give another --output")
+    state = load_checkpoint(start)
+    check_parts(state, start)
+    return {"run": str(start), **state}
 
 
 def _clear(run: Path) -> None:

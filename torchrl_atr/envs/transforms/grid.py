@@ -124,10 +124,7 @@ class CommandGrid:
             weights: of that grid, with odd numbers of cells along both axes.
 
         Returns:
-            ``shape``.
-
-        Raises:
-            ValueError: No weight is left within these bounds.
+            ``shape``; all zero if that grid had no weight within these bounds.
 
         Example:
             >>> narrow, wide = CommandGrid(bounds=(2.0, 1.0)), CommandGrid()
@@ -135,7 +132,7 @@ class CommandGrid:
             True
         """
         rows, columns = ((own - other) // 2 for own, other in zip(self.shape, weights.shape, strict=True))
-        return self.validate(functional.pad(weights, (columns, columns, rows, rows)))
+        return functional.pad(weights, (columns, columns, rows, rows))
 
     def centres(self, cells: Tensor) -> Tensor:
         """Commands at the centres of flat cell indices.

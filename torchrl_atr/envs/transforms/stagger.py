@@ -11,7 +11,7 @@ class StaggeredCounter(StepCounter):
     """A :class:`~torchrl.envs.StepCounter` whose counts start anywhere below ``max_steps`` when all envs begin at once.
 
     Robots that start together and do not fall end together, in every episode to come: a batch then is
-    the first tenth of everybody's episode, or the last. An env that begins anew later counts from zero. TorchRL's
+    the same short part of everybody's episode. An env that begins anew later counts from zero. TorchRL's
     ``RandomTruncationTransform`` draws horizons, at every step of which it compares once more; this draws counts.
 
     Args:
