@@ -199,10 +199,11 @@ class RidingEnv(EnvBase):
 
     def _contain(self, outcome: Outcome) -> None:
         """Ends the episodes of robots that failed; where what they observe is no number, it is zero."""
-        terms = {("reward_terms", name): term for name, term in outcome.terms.items()}
-        unnumbered = not_finite({**self._emitted, **terms, "reward": outcome.reward})
         failed = dict.fromkeys(self.engine.diverged.nonzero()[0].tolist(), "its simulation diverged")
-        failed |= {row: f"{name!r} is not finite" for row, name in unnumbered.items()}
+        if not outcome.finite:
+            terms = {("reward_terms", name): term for name, term in outcome.terms.items()}
+            unnumbered = not_finite({**self._emitted, **terms, "reward": outcome.reward})
+            failed |= {row: f"{name!r} is not finite" for row, name in unnumbered.items()}
         if not failed:
             return
         rows = list(failed)

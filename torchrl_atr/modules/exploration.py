@@ -140,7 +140,8 @@ class CorrelatedGaussian(TensorDictModuleBase):
             if self._noise is None or self._noise.shape != loc.shape:
                 self._noise = fresh
             else:
-                self._noise = self.correlation * self._noise + math.sqrt(1 - self.correlation**2) * fresh
+                kept = self._noise.to(loc)  # a checkpoint is read on the CPU
+                self._noise = self.correlation * kept + math.sqrt(1 - self.correlation**2) * fresh
             action = normal.displace(self._noise)
         tensordict.set(self.out_keys[0], action)
         return tensordict.set(self.out_keys[1], normal.log_prob(action))

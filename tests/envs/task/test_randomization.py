@@ -15,6 +15,7 @@ from torchrl_atr.envs.task.randomization import (
     intrinsic_slices,
     physical_parameters,
     sample_intrinsics,
+    table_values,
 )
 
 UNIT = 180 / np.pi
@@ -69,8 +70,9 @@ def test_the_training_range_is_scaled_to_minus_one_and_one():
     assert sample(4000, "test").abs().max() > 1.5
     for parameter in INTRINSICS.values():
         assert parameter.scaled(torch.tensor(parameter.train)).tolist() == pytest.approx([-1.0, 1.0])
-        value = torch.tensor(0.37)
-        torch.testing.assert_close(parameter.scaled(parameter.unscaled(value)), value)
+    for name, value in table_values(x, 12).items():
+        scaled = INTRINSICS[name].scaled(torch.from_numpy(value)).float()
+        torch.testing.assert_close(scaled, x[:, intrinsic_slices(12)[name]])
 
 
 @pytest.mark.parametrize("name", RANGES)
@@ -88,7 +90,7 @@ def check_truth(env: RidingEnv, x_int: torch.Tensor) -> None:
     """Every simulation's compiled model is what the emitted x_int says, and nothing else changed."""
     nominal, layout, robot, deck = env.scene.model, env.scene.layout, env.scene.robot, env.scene.transporter
     unit = UNIT * deck.spring_scale
-    value = {name: INTRINSICS[name].unscaled(x_int[:, s]).numpy() for name, s in intrinsic_slices(12).items()}
+    value = table_values(x_int, 12)
     for i in range(env.batch_size[0]):
         model = compiled(env, i)
         trunk, decks = layout.trunk_body, layout.deck_bodies

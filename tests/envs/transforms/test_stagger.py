@@ -14,11 +14,10 @@ LIMIT, ENVS = 10, 64
 
 def env() -> TransformedEnv:
     endless = CountingBatchedEnv(max_steps=torch.full((ENVS,), 10**6), batch_size=[ENVS])
-    return TransformedEnv(endless, StaggeredCounter(LIMIT))
+    return TransformedEnv(endless, StaggeredCounter(LIMIT, seed=0))
 
 
 def test_first_episodes_end_anywhere_and_later_ones_last_their_time():
-    torch.manual_seed(0)
     done = env().rollout(3 * LIMIT, break_when_any_done=False)["next", "done"].squeeze(-1)
     first = done.int().argmax(-1)
     assert set(first.tolist()) == set(range(LIMIT))
@@ -27,7 +26,6 @@ def test_first_episodes_end_anywhere_and_later_ones_last_their_time():
 
 
 def test_each_env_of_a_serial_one_draws_its_own():
-    torch.manual_seed(0)
     several = SerialEnv(8, lambda: TransformedEnv(CountingEnv(max_steps=10**6), StaggeredCounter(LIMIT)))
     assert len(set(several.reset()["step_count"].flatten().tolist())) > 1
 

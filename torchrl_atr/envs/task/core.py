@@ -16,6 +16,7 @@ from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task import disturbances, observations, rewards
 from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task.compilation import compile_step
+from torchrl_atr.envs.task.guard import all_finite
 from torchrl_atr.envs.task.outlook import outlook
 from torchrl_atr.envs.task.rotations import rotate_back
 from torchrl_atr.envs.task.state import CONTROL_DT, Readout, RidingState, Rows, StateReader
@@ -34,12 +35,14 @@ class Outcome:
         terms: the weighted reward terms by name, (N, 1) each.
         terminated: (N,) bool.
         observed: observations by key, (N, features) each, as :meth:`RidingTask.observe` gives them.
+        finite: whether all of these are numbers, () bool.
     """
 
     reward: Tensor
     terms: dict[str, Tensor]
     terminated: Tensor
     observed: dict[Any, Tensor]
+    finite: Tensor
 
 
 class RidingTask:
@@ -199,7 +202,8 @@ class RidingTask:
         )
         odometry = observations.dead_reckoning(odometry, state)
         observed = self._observed(state, command, action, odometry, x_int)
-        return Outcome(reward, terms, terminated, observed), velocities, odometry
+        finite = all_finite([*observed.values(), torch.stack([*terms.values()]), reward])
+        return Outcome(reward, terms, terminated, observed, finite), velocities, odometry
 
     def end(self, rows: list[int], outcome: Outcome) -> None:
         """Ends the episodes of ``rows``, in which no step can be scored: all that is left is r17.

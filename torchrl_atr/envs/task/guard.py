@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
+
+
+def all_finite(values: Iterable[Tensor]) -> Tensor:
+    """Whether there is no NaN or infinity in any of them, for the price of one sum: a bool of shape ().
+
+    Example:
+        >>> all_finite([torch.ones(2, 3), torch.tensor([[0.0], [float("nan")]])])
+        tensor(False)
+    """
+    return torch.isfinite(torch.cat([value.flatten() for value in values]).sum())
 
 
 def not_finite(values: Mapping[Any, Tensor]) -> dict[int, str]:
@@ -16,14 +26,12 @@ def not_finite(values: Mapping[Any, Tensor]) -> dict[int, str]:
         values: by key, (N, features) each.
 
     Returns:
-        Env ids and keys; empty in the usual case, which costs one sum.
+        Env ids and keys.
 
     Example:
         >>> not_finite({"a": torch.ones(2, 3), "b": torch.tensor([[0.0], [float("nan")]])})
         {1: 'b'}
     """
-    if bool(torch.isfinite(torch.cat([value.flatten() for value in values.values()]).sum())):
-        return {}
     bad: dict[int, str] = {}
     for key, value in values.items():
         for row in (~torch.isfinite(value)).any(-1).nonzero().flatten().tolist():

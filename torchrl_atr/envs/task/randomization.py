@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Literal
@@ -45,11 +44,6 @@ class IntrinsicParameter:
         """Maps the training range to [-1, 1]."""
         low, high = self.train
         return (2.0 * value - low - high) / (high - low)
-
-    def unscaled(self, scaled: Tensor) -> Tensor:
-        """Inverse of :meth:`scaled`."""
-        low, high = self.train
-        return low + (scaled + 1.0) * (high - low) / 2.0
 
 
 INTRINSICS: dict[str, IntrinsicParameter] = {
@@ -113,6 +107,25 @@ def _scaled_ranges(joints: int, randomization: Randomization) -> tuple[Tensor, T
     return low, high
 
 
+@cache
+def _training_range(joints: int) -> np.ndarray:
+    """Ends of Table II's training range by component of x_int, float64, (2, 34)."""
+    sizes = [part.stop - part.start for part in intrinsic_slices(joints).values()]
+    return np.repeat([parameter.train for parameter in INTRINSICS.values()], sizes, axis=0).T
+
+
+def table_values(x_int: Tensor, joints: int) -> dict[str, np.ndarray]:
+    """Table II's values by name, (n, size) float64 each: the inverse of :meth:`IntrinsicParameter.scaled`.
+
+    Args:
+        x_int: (n, 34).
+        joints: leg joints of the robot.
+    """
+    low, high = _training_range(joints)
+    values = low + (x_int.double().numpy() + 1.0) * (high - low) / 2.0
+    return {name: values[:, part] for name, part in intrinsic_slices(joints).items()}
+
+
 def physical_parameters(x_int: Tensor, scene: Scene, readings: Readings) -> PhysicalParameters:
     """What x_int means in physical units for this robot and deck.
 
@@ -122,19 +135,16 @@ def physical_parameters(x_int: Tensor, scene: Scene, readings: Readings) -> Phys
         readings: the self-balancing gains' unit and scale (A12), the PD gains' (A13).
     """
     robot, deck = scene.robot, scene.transporter
-    slices = intrinsic_slices(len(robot.joints))
-    value: Callable[[str], np.ndarray] = lambda name: (  # noqa: E731
-        INTRINSICS[name].unscaled(x_int[:, slices[name]].double()).numpy()
-    )
-    mass = np.maximum(deck.mass + value("platform_mass")[:, 0], _MIN_MASS_SHARE * deck.mass)
+    value = table_values(x_int, len(robot.joints))
+    mass = np.maximum(deck.mass + value["platform_mass"][:, 0], _MIN_MASS_SHARE * deck.mass)
     stiffness, damping = deck.springs(readings)
     return PhysicalParameters(
-        payload=value("payload")[:, 0],
-        com_shift=value("com_shift"),
-        kp=value("kp") * (robot.kp if readings.gains_as_ratios else TABLE_II_KP),
-        kd=value("kd") * (robot.kd if readings.gains_as_ratios else TABLE_II_KD),
+        payload=value["payload"][:, 0],
+        com_shift=value["com_shift"],
+        kp=value["kp"] * (robot.kp if readings.gains_as_ratios else TABLE_II_KP),
+        kd=value["kd"] * (robot.kd if readings.gains_as_ratios else TABLE_II_KD),
         platform_mass=mass,
-        friction=value("friction")[:, 0],
-        sb_stiffness=value("sb_stiffness") * stiffness,
-        sb_damping=value("sb_damping") * damping,
+        friction=value["friction"][:, 0],
+        sb_stiffness=value["sb_stiffness"] * stiffness,
+        sb_damping=value["sb_damping"] * damping,
     )

@@ -100,6 +100,7 @@ class CommandCurriculum(Transform):
         self.register_buffer("weights", self.grid.initial_weights())
         self.register_buffer("_required", required, persistent=False)
         self.rows = CommandRows()
+        self._frontier: tuple[tuple[int, int], tuple[float, float]] | None = None
 
     @property
     def command(self) -> Tensor:
@@ -120,7 +121,10 @@ class CommandCurriculum(Transform):
     @property
     def frontier(self) -> tuple[float, float]:
         """Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s) that can be drawn now."""
-        return self.grid.frontier(self.weights)
+        version = id(self.weights), self.weights._version  # asked at every step, and they seldom change
+        if self._frontier is None or self._frontier[0] != version:
+            self._frontier = version, self.grid.frontier(self.weights)
+        return self._frontier[1]
 
     def set_seed(self, seed: int) -> None:
         """Restart this transform's own generator."""
@@ -187,7 +191,7 @@ class CommandCurriculum(Transform):
                 raise KeyError(
                     f"rest_key {self.rest_key!r} is not in the reset; {_similar(self.rest_key, tensordict_reset)}"
                 )
-            moving = (rest != 0).flatten(0, -2).any(-1)
+            moving = (rest != 0).reshape(-1, rest.shape[-1]).any(-1)
             self.rows.cells = self.rows.cells.masked_fill(self._started & moving.to(self._started.device), -1)
         return tensordict_reset.set(self.command_key, self.command)
 

@@ -67,9 +67,7 @@ class ObservationHistory(Transform):
         if mask is None or self._frames is None or self._frames.shape != shape:
             self._frames = first.expand(shape).clone()
         else:
-            rows = mask.reshape(shape[:-2])
-            self._frames = self._frames.clone()
-            self._frames[rows] = first[rows]
+            self._frames = torch.where(mask.reshape(*shape[:-2], 1, 1), first, self._frames)
         return self._emit(tensordict_reset)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:

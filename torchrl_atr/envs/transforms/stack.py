@@ -56,6 +56,6 @@ def riding_transforms(
         *guards,
         CatTensors(["proprio", command.command_key], "observation", sort=False, del_keys=False),
         ObservationHistory(history_length, include_current=include_current),
-        StaggeredCounter(max_steps) if stagger else StepCounter(max_steps),
+        StaggeredCounter(max_steps, curriculum.get("seed")) if stagger else StepCounter(max_steps),
         RewardSum(),
     )

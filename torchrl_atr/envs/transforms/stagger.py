@@ -16,22 +16,29 @@ class StaggeredCounter(StepCounter):
 
     Args:
         max_steps (int): Steps after which an episode is truncated.
+        seed (int, optional): Of the counts.
 
     Example:
         >>> from torchrl.envs import TransformedEnv
         >>> from torchrl.testing.mocking_classes import CountingEnv
-        >>> env = TransformedEnv(CountingEnv(max_steps=100), StaggeredCounter(5))
+        >>> env = TransformedEnv(CountingEnv(max_steps=100), StaggeredCounter(5, seed=0))
         >>> 1 <= env.rollout(50).shape[-1] <= 5
         True
     """
 
-    def __init__(self, max_steps: int) -> None:
+    def __init__(self, max_steps: int, seed: int | None = None) -> None:
         super().__init__(max_steps)
+        self._generator = torch.Generator()
+        if seed is None:
+            self._generator.seed()
+        else:
+            self._generator.manual_seed(int(seed))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         tensordict_reset = super()._reset(tensordict, tensordict_reset)
         for reset_key, count_key in zip(self.reset_keys, self.step_count_keys, strict=True):
             if tensordict.get(reset_key, None) is None:
                 count = tensordict_reset.get(count_key)
-                tensordict_reset.set(count_key, torch.randint_like(count, self.max_steps))
+                drawn = torch.randint(self.max_steps, count.shape, generator=self._generator)  # on the CPU, as anywhere
+                tensordict_reset.set(count_key, drawn.to(count))
         return tensordict_reset
