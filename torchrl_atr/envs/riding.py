@@ -177,8 +177,7 @@ class RidingEnv(EnvBase):
         chosen = torch.ones(n, dtype=torch.bool) if mask is None else mask.reshape(n)
         index = chosen.nonzero().squeeze(-1)
         if len(index):
-            rows, command = index.numpy(), self._command(tensordict)[index]
-            fresh = self.task.observe(command, self.task.begin(rows, command), rows)
+            fresh = self.task.begin(index.numpy(), self._command(tensordict)[index])
             for key, value in fresh.items():
                 self._emitted[key] = self._emitted[key].index_copy(0, index, value)
         return self._pack(self._emitted, terminated=torch.zeros(n, dtype=torch.bool), terms=None)

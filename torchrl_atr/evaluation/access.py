@@ -61,7 +61,7 @@ def extrinsic_names(env: EnvBase, size: int) -> tuple[str, ...]:
     """Names of the ``size`` extrinsic states, in order: ``contacts[0]``, ... (numbers for envs not ours)."""
     engine = getattr(base_env(env), "engine", None)
     if engine is not None:
-        state = StateReader(engine).read(slice(0, 1))
+        state = StateReader(engine).read()
         components = extrinsic_components(engine.law.readings)
         widths = {name: EXTRINSIC[name](state).shape[-1] for name in components}
         names = tuple(f"{name}[{i}]" for name, width in widths.items() for i in range(width))

@@ -18,12 +18,16 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CXX") or ("clang++" if sys.platform == "darwin" else "g++"))
 
 
-def compile_step(step: Callable[..., Any]) -> Callable[..., Any]:
+def compile_step(step: Callable[..., Any], dynamic: bool | None = None) -> Callable[..., Any]:
     """``step``, compiled at its first call, which takes half a minute; what it calls must be traceable by torch.
 
     torch keeps the result on disk for the next process. A second number of robots is compiled for any number. Other
     robots, transporters, readings or numbers of torch threads are compiled anew, and run eagerly after eight of them,
     with torch's warning.
+
+    Args:
+        step: a function of tensors, and of what does not change.
+        dynamic: whether it is compiled for any number of robots, or one, at once.
 
     Raises:
         InputError: if there is no C++ compiler, which torch needs for code on a CPU.
@@ -33,4 +37,4 @@ def compile_step(step: Callable[..., Any]) -> Callable[..., Any]:
             "compiled=True needs a C++ compiler on PATH, g++ (macOS: clang++) or $CXX, and Python's headers; "
             "install them, or do without"
         )
-    return torch.compile(step)
+    return torch.compile(step, dynamic=dynamic)

@@ -19,7 +19,7 @@ from torchrl_atr.envs.task.compilation import compile_step
 from torchrl_atr.envs.task.guard import all_finite
 from torchrl_atr.envs.task.outlook import outlook
 from torchrl_atr.envs.task.rotations import rotate_back
-from torchrl_atr.envs.task.state import CONTROL_DT, Readout, RidingState, Rows, StateReader
+from torchrl_atr.envs.task.state import CONTROL_DT, Readout, RidingState, StateReader
 from torchrl_atr.envs.task.terminations import fallen
 
 COMMAND_FEATURES = ("speed", "yaw_rate")
@@ -100,10 +100,14 @@ class RidingTask:
         self.previous_action = torch.zeros(n, self.joints)
         self.odometry = torch.zeros(n, 3)
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
-        self._assess = compile_step(self._assess_eagerly) if compiled else self._assess_eagerly
+        self._assess, self._open = self._assess_eagerly, self._open_eagerly
+        if compiled:
+            self._assess = compile_step(self._assess_eagerly)
+            self._open = compile_step(self._open_eagerly, dynamic=True)  # any number of robots begins
         self.begin(np.arange(n))
 
-    def begin(self, rows: NDArray[np.int64], command: Tensor | None = None) -> RidingState:
+    @torch.no_grad()
+    def begin(self, rows: NDArray[np.int64], command: Tensor | None = None) -> dict[Any, Tensor]:
         """Starts episodes of ``rows`` with fresh intrinsics and initial states; leaves the others alone.
 
         A robot that is hard to keep up has short episodes: drawn anew each time, such robots would hardly be seen. With
@@ -111,30 +115,40 @@ class RidingTask:
 
         Args:
             rows: (n,) integers.
-            command: (c_v, c_ω) that those episodes start with, (n, 2); read by moving starts.
+            command: (c_v, c_ω) that those episodes start with, (n, 2); read by moving starts. None for zero.
 
         Returns:
-            The state that they start in, for :meth:`observe`.
+            What those rows observe, as :meth:`observe` gives it for all.
         """
-        x_int = intrinsics.sample_intrinsics(len(rows), self.joints, self.randomization, self.rng)
+        n, index = len(rows), torch.from_numpy(rows)
+        x_int = intrinsics.sample_intrinsics(n, self.joints, self.randomization, self.rng)
         if self.retry > 0.0:
-            again = self.fell[rows] & (torch.rand(len(rows), generator=self.rng) < self.retry)
-            x_int = torch.where(again.unsqueeze(-1), self.x_int[rows], x_int)
-        self.fell = self.fell.clone()
-        self.fell[rows] = False
+            again = self.fell[index] & (torch.rand(n, generator=self.rng) < self.retry)
+            x_int = torch.where(again.unsqueeze(-1), self.x_int[index], x_int)
         speeds = None
         if self.moving_start > 0.0 and command is not None:
             speeds = disturbances.initial_speeds(command.double().numpy(), self.moving_start, self.rng)
-        qpos, qvel = disturbances.initial_state(self.scene, len(rows), self.rng, speeds)
+        qpos, qvel = disturbances.initial_state(self.scene, n, self.rng, speeds)
         self.engine.reset(rows, qpos, qvel, intrinsics.physical_parameters(x_int, self.scene, self.readings))
+        command = torch.zeros(n, len(COMMAND_FEATURES)) if command is None else command
+        observed, velocities, odometry = self._open(self._reader.gather(rows), command, x_int)
+        self._reader.velocities[index] = velocities
         # out of place: callers may hold what was handed out before
-        self.x_int, self.previous_action = self.x_int.clone(), self.previous_action.clone()
-        self.x_int[rows], self.previous_action[rows], self.steps[rows] = x_int, 0.0, 0
-        start = self._reader.read(rows, anew=True)
+        self.x_int = self.x_int.index_copy(0, index, x_int)
+        self.odometry = self.odometry.index_copy(0, index, odometry)
+        self.previous_action = self.previous_action.index_fill(0, index, 0.0)
+        self.steps, self.fell = self.steps.index_fill(0, index, 0), self.fell.index_fill(0, index, False)
+        return observed
+
+    def _open_eagerly(
+        self, readout: Readout, command: Tensor, x_int: Tensor
+    ) -> tuple[dict[Any, Tensor], Tensor, Tensor]:
+        """Observations, velocities and odometry of episodes that start: a function of the arguments alone."""
+        state, velocities = self._reader.interpret(readout, None)
         # a moving start stands for a ride that began earlier, its odometry with it
-        self.odometry = self.odometry.clone()
-        self.odometry[rows] = rotate_back(start.rotation, start.velocity)
-        return start
+        odometry = rotate_back(state.rotation, state.velocity)
+        action = torch.zeros(len(x_int), self.joints)
+        return self._observed(state, command, action, odometry, x_int), velocities, odometry
 
     def act(self, action: Tensor) -> None:
         """Opens a control step: pushes that are due, then the joint targets q0 + scale · action.
@@ -219,19 +233,16 @@ class RidingTask:
         outcome.terminated[rows] = True
         self.fell = outcome.terminated
 
-    def observe(self, command: Tensor, state: RidingState | None = None, rows: Rows = slice(None)) -> dict[Any, Tensor]:
-        """What ``rows`` observe.
+    def observe(self, command: Tensor) -> dict[Any, Tensor]:
+        """What all robots observe.
 
         Args:
-            command: of those rows, (n, 2).
-            state: of those rows, if it has been read already.
-            rows: which robots.
+            command: (N, 2).
 
         Returns:
-            Observations by key, (n, features) each, raw SI units.
+            Observations by key, (N, features) each, raw SI units.
         """
-        state = self._reader.read(rows) if state is None else state
-        return self._observed(state, command, self.previous_action[rows], self.odometry[rows], self.x_int[rows])
+        return self._observed(self._reader.read(), command, self.previous_action, self.odometry, self.x_int)
 
     def _observed(
         self, state: RidingState, command: Tensor, action: Tensor, odometry: Tensor, x_int: Tensor

@@ -152,9 +152,9 @@ class StateReader:
         turning = angular_velocity(euler, rates)
         return torch.cat([qvel[:, self._root_dof], platform, turning, qvel[:, self._joint_dof]], -1)
 
-    def read(self, rows: Rows = slice(None), anew: bool = False) -> RidingState:
-        """The state of ``rows`` now; accelerations are differences to their previous reading, or zero ``anew``."""
-        state, self.velocities[rows] = self.interpret(self.gather(rows), None if anew else self.velocities[rows])
+    def read(self) -> RidingState:
+        """The state of all robots now; accelerations are differences to their previous reading."""
+        state, self.velocities = self.interpret(self.gather(), self.velocities)
         return state
 
     def gather(self, rows: Rows = slice(None)) -> Readout:
