@@ -46,6 +46,7 @@ import pytest
         ("train --from RUN --profile literal --output x", "--profile literal", "keeps that run's, default"),
         ("train --from RUN --seed -1 --output x", "seed=-1", "choose a number in [0, 2147483647]"),
         ("train --resume RUN --from RUN", "--from", "leave it out"),
+        ("train --set anneal_until=0.2", "anneal_until=0.2", "must be larger than anneal_from=0.35"),
         ("train --set max_speed=2.1", "max_speed=2.1", "a whole multiple of its bin 0.2"),
         ("train --set max_yaw_rate=0.2", "max_yaw_rate=0.2", "must lie within its bound"),
         ("evaluate RUN --randomization none", "'none'", "choose from"),

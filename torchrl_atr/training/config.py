@@ -60,9 +60,9 @@ class TrainConfig:
         relative_std: exploration of what legs do against each other.
         min_std: floor of both.
         noise_correlation: of the exploration from one control step to the next, in [0, 1).
-        final_std: ceiling of the exploration at the end of the run, lowered geometrically from ``init_std`` after
-            ``anneal_from`` of it.
-        anneal_from: share of the run, in [0, 1).
+        final_std: ceiling of the exploration from ``anneal_until`` of the run on, lowered geometrically from ``init_std``
+            after ``anneal_from`` of it.
+        anneal_from, anneal_until: shares of the run, in [0, 1].
         smoothness_coeff: pull of the mean action towards that of the step before.
         roa_coeff: λ of Eq. 15.
         roa_ramp: whether λ grows linearly from 0 over the run (A23).
@@ -122,6 +122,7 @@ class TrainConfig:
     noise_correlation: float = 0.9
     final_std: float = 0.1
     anneal_from: float = 0.35
+    anneal_until: float = 1.0
     smoothness_coeff: float = 0.3
     roa_coeff: float = 0.2
     roa_ramp: bool = False
@@ -191,6 +192,11 @@ class TrainConfig:
             names = ("initial_speed", "initial_yaw_rate", "max_speed", "max_yaw_rate")
             given = ", ".join(f"{name}={getattr(self, name):g}" for name in names)
             raise ConfigError(f"{given}: {error}") from error
+        if self.anneal_from >= self.anneal_until:
+            raise ConfigError(
+                f"anneal_until={self.anneal_until:g} must be larger than anneal_from={self.anneal_from:g}, shares of the "
+                "run both"
+            )
         for name in ("init_std", "relative_std", "final_std"):
             if self.min_std >= getattr(self, name):
                 raise ConfigError(f"min_std={self.min_std:g} must be below {name}={getattr(self, name):g}")
@@ -254,6 +260,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "noise_correlation": (0, 0.999),
     "final_std": (1e-3, 10),
     "anneal_from": (0, 0.99),
+    "anneal_until": (0.01, 1),
     "smoothness_coeff": (0, 1e3),
     "roa_coeff": (0, 1e3),
     "adaptation_epochs": (1, 1000),

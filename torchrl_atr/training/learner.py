@@ -86,7 +86,8 @@ class Learner:
             progress: share of the run that is over, in [0, 1].
         """
         config = self.config
-        late = min(max(0.0, progress - config.anneal_from) / (1 - config.anneal_from), 1.0)
+        late = (progress - config.anneal_from) / (config.anneal_until - config.anneal_from)
+        late = min(max(0.0, late), 1.0)
         self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
         if self._roa_ramp is not None:
