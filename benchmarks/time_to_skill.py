@@ -29,7 +29,7 @@ BAR = {"survival": (0.97, 1.0), "settled_speed_error": (0.0, 0.30), "settled_yaw
 GRID = (2.0, 1.0, 1.0, 0.25)
 """Largest speed (m/s) and yaw rate (rad/s) of the commands, and their steps."""
 RECIPE = {"max_speed": 3.0, "max_yaw_rate": 1.2, "anneal_from": 0.1, "anneal_until": 0.5, "final_std": 0.04}
-"""What differs from the default recipe: commands stay near what the bar is about, and noise sinks sooner and further."""
+"""What differs from the default recipe: commands stay near what the bar is about, noise sinks sooner and further."""
 
 NOTES = "evaluations.json"
 """In a run's folder."""

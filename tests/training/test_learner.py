@@ -10,24 +10,13 @@ from torchrl_atr.training import Learner, make_config, make_env, make_run_networ
 
 @pytest.mark.parametrize("ramp", [False, True])
 def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp):
-    settings = {
-        "num_envs": 2,
-        "num_threads": 1,
-        "anneal_from": 0.4,
-        "anneal_until": 0.8,
-        "init_std": 0.3,
-        "final_std": 0.1,
-    }
+    anneal = {"anneal_from": 0.4, "anneal_until": 0.8, "init_std": 0.3, "final_std": 0.1}
+    settings = {"num_envs": 2, "num_threads": 1, **anneal}
     config = make_config({**settings, "target_kl": 0.03, "final_kl": 0.01, "roa_coeff": 0.2, "roa_ramp": ramp})
     env = make_env(config)
     learner = Learner(make_run_networks(config, env), config)
-    for progress, ceiling, kl in (
-        (0.0, 0.3, 0.03),
-        (0.4, 0.3, 0.03),
-        (0.6, 0.3 / 3**0.5, 0.02),
-        (0.8, 0.1, 0.01),
-        (1.2, 0.1, 0.01),
-    ):
+    half = 0.3 / 3**0.5, 0.02
+    for progress, ceiling, kl in ((0.0, 0.3, 0.03), (0.4, 0.3, 0.03), (0.6, *half), (0.8, 0.1, 0.01), (1.2, 0.1, 0.01)):
         learner.anneal(progress)
         assert float(learner.networks.backbone.std().max()) == pytest.approx(ceiling, abs=1e-5)
         assert learner.schedule.target_kl == pytest.approx(kl)

@@ -60,8 +60,8 @@ class TrainConfig:
         relative_std: exploration of what legs do against each other.
         min_std: floor of both.
         noise_correlation: of the exploration from one control step to the next, in [0, 1).
-        final_std: ceiling of the exploration from ``anneal_until`` of the run on, lowered geometrically from ``init_std``
-            after ``anneal_from`` of it.
+        final_std: ceiling of the exploration from ``anneal_until`` of the run on, lowered geometrically from
+            ``init_std`` after ``anneal_from`` of it.
         anneal_from, anneal_until: shares of the run, in [0, 1].
         smoothness_coeff: pull of the mean action towards that of the step before.
         roa_coeff: λ of Eq. 15.
@@ -194,8 +194,8 @@ class TrainConfig:
             raise ConfigError(f"{given}: {error}") from error
         if self.anneal_from >= self.anneal_until:
             raise ConfigError(
-                f"anneal_until={self.anneal_until:g} must be larger than anneal_from={self.anneal_from:g}, shares of the "
-                "run both"
+                f"anneal_until={self.anneal_until:g} must be larger than anneal_from={self.anneal_from:g}; both are "
+                "shares of the run"
             )
         for name in ("init_std", "relative_std", "final_std"):
             if self.min_std >= getattr(self, name):
