@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 from torchrl_atr.training.provenance import cores
 
@@ -29,11 +30,17 @@ def section(folder: Path) -> str:
         lines.append(f"| {label} | {' | '.join(values)} |")
     lines += [
         "",
-        f"`{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on "
-        f"{cores(run['hardware'])}, then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh "
-        f"intrinsics of the training range, proprioception only. Everything is in [{path}]({path}).",
+        f"{origin(run)}, then `torchrl-atr evaluate`: {metrics['n']} robots, 10 s from rest, fresh intrinsics of the "
+        f"training range, proprioception only. Everything is in [{path}]({path}).",
     ]
     return "\n".join(lines)
+
+
+def origin(run: dict[str, Any]) -> str:
+    """What a run came from, the runs that it began from first."""
+    before = f"{origin(run['from'])}; then " if "from" in run else ""
+    own = f"{run['frames']:,} robot steps in {run['minutes']:.0f} minutes on {cores(run['hardware'])}"
+    return f"{before}`{run['command']}`: {own}"
 
 
 def main() -> None:
