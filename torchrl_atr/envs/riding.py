@@ -62,14 +62,16 @@ class RidingEnv(EnvBase):
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
         RobotError: for a robot that cannot ride as it is described.
-        ValueError: for an impossible ``num_envs``, ``physics``, ``randomization`` or ``seed``, for ``compiled`` without
-            a compiler, and for an action or a command that is misshapen or not finite.
+        ValueError: for an impossible ``num_envs``, ``physics``, ``randomization``, ``moving_start``, ``retry`` or
+            ``seed``, for ``compiled`` without a compiler, and for an action or a command that is misshapen or not
+            finite.
         KeyError: if a step lacks the action.
 
     Keys: ``action`` (N, 12) and ``command`` (N, 2) in; ``proprio`` (N, 44), ``command``, ``observation``
-    (N, 46), ``("privileged", "intrinsic")`` (N, 34), ``("privileged", "extrinsic")`` (N, 16), ``speeds``
-    (N, 2), the forward speed and yaw rate that answer the command, ``("reward_terms", name)`` and ``reward``
-    (N, 1), ``done``, ``terminated``, ``truncated`` (N, 1) out; float32, SI units.
+    (N, 46), ``odometry`` (N, 3), ``("privileged", "intrinsic")`` (N, 34), ``("privileged", "extrinsic")`` (N, 16),
+    ``("privileged", "outlook")`` (N, 14), ``speeds`` (N, 2), the forward speed and yaw rate that answer the command,
+    ``("reward_terms", name)`` and ``reward`` (N, 1), ``done``, ``terminated``, ``truncated`` (N, 1) out; float32, SI
+    units.
 
     Example:
         >>> env = RidingEnv(num_envs=4, seed=0)
@@ -240,7 +242,10 @@ class RidingEnv(EnvBase):
         return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
     def get_state(self) -> TensorDict:
-        """Everything :meth:`set_state` needs to continue from here bit for bit, on either engine."""
+        """Everything :meth:`set_state` needs to continue from here bit for bit, on either engine.
+
+        Pushes and new episodes draw from ``rng``, whose state is not part of it: ``rng.get_state()``.
+        """
         state = {**self.task.get_state(), "emitted": _nested(self._emitted)}
         return TensorDict(state, batch_size=self.batch_size).clone()
 
