@@ -53,7 +53,8 @@ class ROAClipPPOLoss(ClipPPOLoss):
         roa_coeff (float): the paper's lambda. Defaults to 0.2.
         intrinsic_coeff, extrinsic_coeff (float): weights of the estimator terms. Default to 1.
         smoothness_coeff (float): weight of the change of the mean action from the step before, which the data must
-            then hold as ``previous_mean`` (:func:`previous_means`). Defaults to 0: no such term, whatever a schedule says later.
+            then hold as ``previous_mean`` (:func:`previous_means`). Defaults to 0: no such term, whatever a
+            schedule says later.
         extrinsic_scale (Tensor or nn.Module with ``std``, optional): per-component std that divides the
             extrinsic error (reading A25); a :class:`~torchrl_atr.modules.RunningNormalizer` is read at
             every call. None is the plain sum of the paper.
