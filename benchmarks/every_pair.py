@@ -21,8 +21,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from benchmarks.results import refuse_other_settings
-from torchrl_atr._errors import UserError
+from benchmarks.results import exit_code, refuse_other_settings
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr.envs import ROBOTS
 from torchrl_atr.envs.models import DESIGNS
@@ -210,28 +209,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--pairs", nargs="+", choices=PAIRS, default=PAIRS, metavar="ROBOT:TRANSPORTER")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args(argv)
-    try:
-        configs = {}
-        for pair in arguments.pairs:
-            robot, transporter = pair.split(":")
-            values = {"robot": robot, "transporter": transporter, "seed": arguments.seed}
-            configs[arguments.output / f"{robot}-{transporter}"] = make_config(
-                {**values, "max_minutes": arguments.minutes}
-            )
-        for folder, config in configs.items():
-            refuse_other_settings(config, folder)
-        for folder, config in configs.items():
-            if not (folder / COMPARISON).is_file():
-                train(config, folder)
-                write_json(folder / COMPARISON, compare_run(folder))
-        summarise(arguments.output)
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command goes on\n")
-        return 130
-    except UserError as error:
-        sys.stderr.write(f"every_pair: {error}\n")
-        return 2
-    return 0
+    return exit_code("every_pair", partial(_compare_all, arguments))
+
+
+def _compare_all(arguments: argparse.Namespace) -> None:
+    configs = {}
+    for pair in arguments.pairs:
+        robot, transporter = pair.split(":")
+        values = {"robot": robot, "transporter": transporter, "seed": arguments.seed}
+        configs[arguments.output / f"{robot}-{transporter}"] = make_config({**values, "max_minutes": arguments.minutes})
+    for folder, config in configs.items():
+        refuse_other_settings(config, folder)
+    for folder, config in configs.items():
+        if not (folder / COMPARISON).is_file():
+            train(config, folder)
+            write_json(folder / COMPARISON, compare_run(folder))
+    summarise(arguments.output)
 
 
 if __name__ == "__main__":

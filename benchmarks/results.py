@@ -1,10 +1,13 @@
-"""How a measurement is kept: its figures as JSON, a README that shows them, and runs of one kind only."""
+"""How a measurement is kept: its figures as JSON, a README that shows them, runs of one kind only; and how it ends."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr.training import ConfigError, TrainConfig, make_config, read_config
 from torchrl_atr.training.provenance import cores
@@ -43,3 +46,21 @@ def refuse_other_settings(config: TrainConfig, folder: Path) -> None:
     other = ", ".join(f"{key}={found[key]} instead of {value}" for key, value in asked.items() if found[key] != value)
     if other:
         raise ConfigError(f"{folder} was trained with {other}; give another folder, or remove that one")
+
+
+def exit_code(name: str, measure: Callable[[], None]) -> int:
+    """Measures: 0, or 130 if it was stopped, or 2 after one message about what the user gave.
+
+    Args:
+        name: of the benchmark, for messages.
+        measure: goes on where it was, called again.
+    """
+    try:
+        measure()
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped; the same command goes on\n")
+        return 130
+    except UserError as error:
+        sys.stderr.write(f"{name}: {error}\n")
+        return 2
+    return 0

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import results
-from torchrl_atr._errors import UserError
 from torchrl_atr._files import say, write_json
 from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics
 from torchrl_atr.training import DEPLOYED, TrainConfig, Trainer, load_checkpoint, make_config, make_env
@@ -144,27 +143,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--robots-per-command", type=int, default=8)
     arguments = parser.parse_args(argv)
+    return results.exit_code("time_to_skill", partial(_train_all, arguments))
+
+
+def _train_all(arguments: argparse.Namespace) -> None:
     seeds = " ".join(map(str, arguments.seeds))
     command = f"python -m benchmarks.time_to_skill --minutes {arguments.minutes:g} --every {arguments.every:g} "
     command += " ".join([f"--seeds {seeds}", *(f"--set {text}" for text in arguments.overrides)])
-    try:
-        configs = {}
-        for seed in arguments.seeds:
-            values = {**RECIPE, "seed": seed, "max_minutes": arguments.minutes}
-            configs[arguments.runs / str(seed)] = make_config(values, arguments.overrides)
-        for folder, config in configs.items():
-            results.refuse_other_settings(config, folder)
-        for folder, config in configs.items():
-            train_until(config, folder, arguments.every, arguments.robots_per_command)
-            report = {"command": command, "runs": finished_runs(arguments.runs), "versions": machine()["versions"]}
-            results.write(arguments.output, "time_to_skill", report, table(report))
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command goes on\n")
-        return 130
-    except UserError as error:
-        sys.stderr.write(f"time_to_skill: {error}\n")
-        return 2
-    return 0
+    configs = {}
+    for seed in arguments.seeds:
+        values = {**RECIPE, "seed": seed, "max_minutes": arguments.minutes}
+        configs[arguments.runs / str(seed)] = make_config(values, arguments.overrides)
+    for folder, config in configs.items():
+        results.refuse_other_settings(config, folder)
+    for folder, config in configs.items():
+        train_until(config, folder, arguments.every, arguments.robots_per_command)
+        report = {"command": command, "runs": finished_runs(arguments.runs), "versions": machine()["versions"]}
+        results.write(arguments.output, "time_to_skill", report, table(report))
 
 
 if __name__ == "__main__":

@@ -52,9 +52,9 @@ class RidingEnv(EnvBase):
         seed: of intrinsics, initial states and pushes.
         dump_dir: where the last half second of a simulation that failed is written, for ``torchrl-atr replay``; None
             for nowhere.
-        compiled: whether ``torch.compile`` makes one function of observations, rewards and terminations. Then the first
-            step takes half a minute (seconds, where torch has the result on disk) and the others less; needs a C++
-            compiler and Python's headers.
+        compiled: whether ``torch.compile`` makes one function of observations, rewards and terminations. Then making
+            the env and its first step take half a minute (seconds, where torch has the result on disk) and the other
+            steps less; needs a C++ compiler and Python's headers.
 
     A simulation that diverges, or an observation or reward that is not finite, ends that robot's episode as terminated,
     with zeros where there was no number, and is counted and logged; the others do not notice.

@@ -18,21 +18,18 @@ from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.restoring import load_networks, run_config
 
+_TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": False}
+"""Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
 DEPLOYED: dict[str, Any] = {
+    **_TO_LOOK_AT,
     "moving_start": 0.0,
     "pushes": False,
     "runaway_margin": None,
     "max_steps": 2**31 - 1,
-    "stagger": False,
     "retry": 0.0,
-    "compiled": False,
     "grid": None,
 }
 """Env arguments without what belongs to training only: a ride from rest, at any command, that only a fall ends."""
-
-
-_TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": False}
-"""Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
 
 
 def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:

@@ -21,6 +21,8 @@ from torchrl_atr.modules import SOURCES, Source
 
 COLLECTORS = ("direct", "process", "ray", "distributed")
 """Engines that collect batches."""
+_BOUNDS = CommandGrid().bounds
+"""The paper's: m/s and rad/s."""
 
 
 class ConfigError(UserError, ValueError):
@@ -145,8 +147,8 @@ class TrainConfig:
     count_own_twice: bool = False
     initial_speed: float = 1.0
     initial_yaw_rate: float = 0.3
-    max_speed: float = 15.0
-    max_yaw_rate: float = 2.0
+    max_speed: float = _BOUNDS[0]
+    max_yaw_rate: float = _BOUNDS[1]
     runaway_speed: float = 2.0
     runaway_yaw_rate: float = 2.0
     checkpoint_seconds: float = 60.0
@@ -272,10 +274,10 @@ RANGES: dict[str, tuple[float, float]] = {
     "command_seconds": (0.1, 1e6),
     "tracking_threshold": (0.01, 1),
     "score_from_seconds": (0, 1e6),
-    "initial_speed": (_POSITIVE, 15.0),
-    "initial_yaw_rate": (_POSITIVE, 2.0),
-    "max_speed": (_POSITIVE, 15.0),
-    "max_yaw_rate": (_POSITIVE, 2.0),
+    "initial_speed": (_POSITIVE, _BOUNDS[0]),
+    "initial_yaw_rate": (_POSITIVE, _BOUNDS[1]),
+    "max_speed": (_POSITIVE, _BOUNDS[0]),
+    "max_yaw_rate": (_POSITIVE, _BOUNDS[1]),
     "runaway_speed": (_POSITIVE, 1e6),
     "runaway_yaw_rate": (_POSITIVE, 1e6),
     "checkpoint_seconds": (0, 1e6),

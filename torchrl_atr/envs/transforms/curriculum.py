@@ -16,6 +16,7 @@ from torchrl.envs.transforms import Transform
 from torchrl_atr._registry import nearest
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.rows import CommandRows
+from torchrl_atr.envs.transforms.seeding import make_generator
 
 TRACKING_KEYS: tuple[NestedKey, ...] = (
     ("reward_terms", "forward_command"),
@@ -91,11 +92,7 @@ class CommandCurriculum(Transform):
         self.grid = CommandGrid() if grid is None else grid
         self.window, self.score_from = int(window), int(score_from)
         self.command_key, self.rest_key = unravel_key(command_key), rest_key
-        self._generator = torch.Generator()
-        if seed is None:
-            self._generator.seed()
-        else:
-            self.set_seed(seed)
+        self._generator = make_generator(seed)
         required = torch.tensor(thresholds) * torch.tensor(tracking_max) * (self.window - self.score_from)
         self.register_buffer("weights", self.grid.initial_weights())
         self.register_buffer("_required", required, persistent=False)

@@ -6,6 +6,8 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import StepCounter
 
+from torchrl_atr.envs.transforms.seeding import make_generator
+
 
 class StaggeredCounter(StepCounter):
     """A :class:`~torchrl.envs.StepCounter` whose counts start anywhere below ``max_steps`` when all envs begin at once.
@@ -28,11 +30,7 @@ class StaggeredCounter(StepCounter):
 
     def __init__(self, max_steps: int, seed: int | None = None) -> None:
         super().__init__(max_steps)
-        self._generator = torch.Generator()
-        if seed is None:
-            self._generator.seed()
-        else:
-            self._generator.manual_seed(int(seed))
+        self._generator = make_generator(seed)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         tensordict_reset = super()._reset(tensordict, tensordict_reset)
