@@ -37,7 +37,8 @@ class Plan:
         compiled: whether our envs are compiled, where there is a compiler.
         num_envs: N of the layers; one of ``sizes``.
         sizes: N, for cost and peak memory.
-        training_sizes: N that are trained, the recipe's first; each one of ``sizes``.
+        training_sizes: N that are trained, the recipe's first; each one of ``sizes``. Where there are several CPUs,
+            ``num_envs`` are also trained by as many learners.
         steps: control steps of a collector's batch, the recipe's.
         rounds: samples of each contender.
         seconds: least time of a sample.
@@ -82,7 +83,6 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
     """
     folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found before, not after
     cpus, compiled = plan.cpus or len(os.sched_getaffinity(0)), plan.compiled and compiler() is not None
-    torch._dynamo.config.recompile_limit = 64  # each number of threads is one
     plan = dataclasses.replace(plan, cpus=cpus, compiled=compiled)
     results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}
     results["memory"] = _memory(plan)
@@ -90,6 +90,8 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
     with ExitStack() as stack:
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         loops = [_loop(plan, size, scratch) for size in plan.training_sizes]
+        if cpus > 1:
+            loops.append(_loop(plan, plan.num_envs, scratch, cpus))
         makers: list[Maker] = [partial(loop.contender, plan.cpus) for loop in loops]
         makers += [partial(matrix_products, loops[0], plan.cpus), *_layers(plan)]
         makers += [partial(peer, plan.cpus) for peer in peers]
@@ -124,9 +126,9 @@ def _memory(plan: Plan) -> list[dict[str, float]]:
     return rows
 
 
-def _loop(plan: Plan, size: int, scratch: Path) -> TrainingLoop:
-    config = TrainConfig(num_envs=size, rollout_steps=plan.steps, compiled=plan.compiled)
-    return TrainingLoop(config, scratch / str(size))
+def _loop(plan: Plan, size: int, scratch: Path, learners: int = 1) -> TrainingLoop:
+    config = TrainConfig(num_envs=size, rollout_steps=plan.steps, compiled=plan.compiled, learners=learners)
+    return TrainingLoop(config, scratch / f"{size} {learners}")
 
 
 def _layers(plan: Plan) -> list[Maker]:

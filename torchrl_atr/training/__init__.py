@@ -8,6 +8,7 @@ from torchrl_atr.training.guard import TrainingDiverged
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.recipes import RECIPE_POINTS
 from torchrl_atr.training.restoring import run_config
+from torchrl_atr.training.team import Team, TeamError
 from torchrl_atr.training.trainer import Trainer
 
 __all__ = [
@@ -16,6 +17,8 @@ __all__ = [
     "CheckpointError",
     "ConfigError",
     "Learner",
+    "Team",
+    "TeamError",
     "TrainConfig",
     "Trainer",
     "TrainingDiverged",

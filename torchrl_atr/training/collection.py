@@ -22,7 +22,7 @@ from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._errors import UserError
 from torchrl_atr.envs.transforms import CommandCurriculum
-from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 
 _DROPPED: tuple[Any, ...] = (("next", "history"), "reward_terms", "episode_reward", ("next", "command"))
 # Neither GAE nor the losses read these; the next history alone would be a third of a batch.
@@ -31,8 +31,6 @@ _PLAIN = {"auto_register_policy_transforms": False}
 _CURRICULUM = "env.transform[0]"
 _ENDLESS = 2**62
 """Frames, for the engines that do not read -1 as endless."""
-_SEED_STRIDE = 1000
-"""Between the seeds of two workers."""
 _RESUME_STRIDE = 7919
 """Between the seeds of a worker that starts at one iteration and at the next."""
 
@@ -103,7 +101,7 @@ class Collection:
                 make_env,
                 self.curriculum.weights.clone(),
                 num_envs=config.num_envs // config.workers,
-                seed=(config.seed + _SEED_STRIDE * (worker + 1) + _RESUME_STRIDE * self._started) % 2**31,
+                seed=(config.seed + SEED_STRIDE * (worker + 1) + _RESUME_STRIDE * self._started) % 2**31,
                 num_threads=threads,
             )
             for worker in range(config.workers)

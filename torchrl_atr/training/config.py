@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,12 @@ from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import SOURCES, Source
+from torchrl_atr.training.ranges import BOUNDS, RANGES
 
 COLLECTORS = ("direct", "process", "ray", "distributed")
 """Engines that collect batches."""
-_BOUNDS = CommandGrid().bounds
-"""The paper's: m/s and rad/s."""
+SEED_STRIDE = 1000
+"""Between the seeds of two processes that share a run."""
 
 
 class ConfigError(UserError, ValueError):
@@ -51,6 +53,8 @@ class TrainConfig:
         collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
             engine ``process``, ``ray`` or ``distributed``.
         workers: processes that share the robots and the CPUs.
+        learners: processes of this host that each ride their share of the robots on their share of the CPUs, and learn
+            from all of them together.
         gamma, gae_lambda: discount and GAE's λ.
         epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
         learning_rate, max_learning_rate, target_kl: of the policy; adapted to the measured KL divergence.
@@ -81,6 +85,7 @@ class TrainConfig:
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
+        steering_emphasis: how often r1 counts in what is learned from at the end of the run; once at its start.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).
@@ -105,6 +110,7 @@ class TrainConfig:
     compiled: bool = False
     collector: str = "direct"
     workers: int = 2
+    learners: int = 1
     gamma: float = 0.995
     gae_lambda: float = 0.8
     epochs: int = 2
@@ -142,13 +148,14 @@ class TrainConfig:
     retry: float = 0.5
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
+    steering_emphasis: float = 1.0
     tracking_threshold: float = 0.6
     score_from_seconds: float = 1.0
     count_own_twice: bool = False
     initial_speed: float = 1.0
     initial_yaw_rate: float = 0.3
-    max_speed: float = _BOUNDS[0]
-    max_yaw_rate: float = _BOUNDS[1]
+    max_speed: float = BOUNDS[0]
+    max_yaw_rate: float = BOUNDS[1]
     runaway_speed: float = 2.0
     runaway_yaw_rate: float = 2.0
     checkpoint_seconds: float = 60.0
@@ -182,6 +189,7 @@ class TrainConfig:
             raise ConfigError(
                 f"num_envs={self.num_envs} cannot be shared evenly by workers={self.workers}; choose a multiple of it"
             )
+        self._check_learners()
         _check_device(self.device)
         if self.learning_rate > self.max_learning_rate:
             raise ConfigError(
@@ -202,6 +210,36 @@ class TrainConfig:
         for name in ("init_std", "relative_std", "final_std"):
             if self.min_std >= getattr(self, name):
                 raise ConfigError(f"min_std={self.min_std:g} must be below {name}={getattr(self, name):g}")
+
+    def _check_learners(self) -> None:
+        if self.learners == 1:
+            return
+        if self.collector != "direct" or self.device != "cpu":
+            raise ConfigError(
+                f"learners={self.learners} are for collector='direct' and device='cpu', not {self.collector!r} and "
+                f"{self.device!r}; take learners=1, or workers"
+            )
+        if self.num_envs % self.learners:
+            raise ConfigError(
+                f"num_envs={self.num_envs} cannot be shared evenly by learners={self.learners}; choose a multiple of it"
+            )
+
+    def share(self, rank: int) -> TrainConfig:
+        """What one of the learners works with: its part of the robots and of the CPUs, and a seed of its own.
+
+        Args:
+            rank: which one; the first keeps the seed.
+        """
+        if self.learners == 1:
+            return self
+        cpus = self.num_threads or len(os.sched_getaffinity(0))
+        return dataclasses.replace(
+            self,
+            num_envs=self.num_envs // self.learners,
+            num_threads=max(1, cpus // self.learners),
+            seed=(self.seed + SEED_STRIDE * rank) % 2**31,
+            learners=1,
+        )
 
     @property
     def grid(self) -> CommandGrid:
@@ -232,54 +270,3 @@ def _check_device(name: str) -> None:
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
         found = torch.cuda.device_count() or "no"
         raise ConfigError(f"device={name!r}: torch finds {found} CUDA device here; use 'cpu'")
-
-
-_POSITIVE = 1e-12
-RANGES: dict[str, tuple[float, float]] = {
-    "num_envs": (1, 1_000_000),
-    "rollout_steps": (2, 100_000),
-    "total_frames": (1, 1e15),
-    "max_minutes": (0, 1e9),
-    "seed": (0, 2**31 - 1),
-    "num_threads": (0, 4096),
-    "workers": (1, 4096),
-    "gamma": (0, 0.99999),
-    "gae_lambda": (0, 1),
-    "epochs": (1, 1000),
-    "minibatches": (1, 100_000),
-    "learning_rate": (_POSITIVE, 1),
-    "max_learning_rate": (_POSITIVE, 1),
-    "target_kl": (_POSITIVE, 10),
-    "final_kl": (_POSITIVE, 10),
-    "critic_learning_rate": (_POSITIVE, 1),
-    "estimator_learning_rate": (_POSITIVE, 1),
-    "clip_epsilon": (_POSITIVE, 1),
-    "entropy_coeff": (0, 10),
-    "max_grad_norm": (_POSITIVE, 1e9),
-    "init_std": (1e-3, 10),
-    "relative_std": (1e-3, 10),
-    "min_std": (0, 10),
-    "noise_correlation": (0, 0.999),
-    "final_std": (1e-3, 10),
-    "anneal_from": (0, 0.99),
-    "anneal_until": (0.01, 1),
-    "smoothness_coeff": (0, 1e3),
-    "roa_coeff": (0, 1e3),
-    "adaptation_epochs": (1, 1000),
-    "student_fraction": (0, 1),
-    "history_length": (1, 1000),
-    "moving_start": (0, 1),
-    "retry": (0, 1),
-    "episode_seconds": (0.1, 1e6),
-    "command_seconds": (0.1, 1e6),
-    "tracking_threshold": (0.01, 1),
-    "score_from_seconds": (0, 1e6),
-    "initial_speed": (_POSITIVE, _BOUNDS[0]),
-    "initial_yaw_rate": (_POSITIVE, _BOUNDS[1]),
-    "max_speed": (_POSITIVE, _BOUNDS[0]),
-    "max_yaw_rate": (_POSITIVE, _BOUNDS[1]),
-    "runaway_speed": (_POSITIVE, 1e6),
-    "runaway_yaw_rate": (_POSITIVE, 1e6),
-    "checkpoint_seconds": (0, 1e6),
-}
-"""Smallest and largest value of each number."""

@@ -74,13 +74,15 @@ class Learner:
         }
         self.schedule = KLAdaptiveLR(self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate)
         self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa_coeff) if config.roa_ramp else None
+        self._emphasis = 1.0
         self.guard = StepGuard()
         self.minibatch_size = -(-config.frames_per_batch // config.minibatches)
 
     def anneal(self, progress: float) -> None:
-        """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ.
+        """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ and the weight of r1.
 
-        Noise hides which way the board is tilted, and steps that follow a batch's noise unsettle what was learned.
+        Noise hides which way the board is tilted, and steps that follow a batch's noise unsettle what was learned. A
+        turn is paid late and through more noise than a speed: once speeds are held, r1 may count more.
 
         Args:
             progress: share of the run that is over, in [0, 1].
@@ -90,6 +92,7 @@ class Learner:
         late = min(max(0.0, late), 1.0)
         self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
+        self._emphasis = 1.0 + progress * (config.steering_emphasis - 1.0)
         if self._roa_ramp is not None:
             self._roa_ramp.step(progress)
 
@@ -108,7 +111,8 @@ class Learner:
             TrainingDiverged: if there is none that is finite any more.
         """
         with torch.no_grad():
-            batch = self.advantage(_moved(batch, torch.device(self.config.device)))
+            batch = self._emphasized(_moved(batch, torch.device(self.config.device)))
+            batch = self.advantage(batch)
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
             chatter = float((batch["loc"] - batch["previous_mean"]).square().mean().sqrt())
         flat = batch.reshape(-1)
@@ -120,6 +124,13 @@ class Learner:
         self.networks.update_normalizers(flat)
         rate, skipped = self.schedule.get_last_lr()[0], float(self.guard.skipped)
         return {**policy, **adaptation, "learning_rate": rate, "skipped_steps": skipped, "chatter": chatter}
+
+    def _emphasized(self, batch: TensorDictBase) -> TensorDictBase:
+        """The batch with rewards in which r1 counts as often as it does now; the terms stay Table III's."""
+        if self._emphasis == 1.0:
+            return batch
+        extra = (self._emphasis - 1.0) * batch["next", "reward_terms", "steering_command"]
+        return batch.set(("next", "reward"), batch["next", "reward"] + extra)
 
     def _record_latent_estimates(self, flat: TensorDictBase) -> None:
         """ẑ once an iteration, without gradient: what the encoder is pulled towards (Eq. 15's second term)."""

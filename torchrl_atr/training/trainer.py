@@ -5,26 +5,25 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict import TensorDictBase
 
 from torchrl_atr._files import say, sweep, write_json
-from torchrl_atr.envs.task.rewards import MAX_TRACKING, reward_scale
-from torchrl_atr.modules import RidingNetworks, correlate, get_estimator
+from torchrl_atr.modules import RidingNetworks, get_estimator
 from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
-from torchrl_atr.training.collection import Collection, CollectionError
+from torchrl_atr.training.collection import CollectionError
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.interrupt import Interrupt
 from torchrl_atr.training.learner import Learner
-from torchrl_atr.training.metrics import batch_metrics
+from torchrl_atr.training.member import DUMPS, Member, assist, make_member
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import check_parts, load_networks
+from torchrl_atr.training.team import Team, torch_threads
 
 _MEMORY = 0.05
 """Weight of an iteration in the running mean of the episode reward."""
@@ -40,6 +39,9 @@ class Trainer:
             on bit for bit as if it had not stopped.
         start: folder of another run, whose networks and command grid a new one begins with; all else begins anew.
 
+    Attributes:
+        torch_threads: how many torch uses while it trains.
+
     Raises:
         CheckpointError: if the networks of either do not fit the settings.
         ConfigError: if ``start`` is ``run`` itself.
@@ -53,12 +55,11 @@ class Trainer:
         get_estimator(config.estimator)
         other = None if start is None else _read_other(start, run)
         torch.manual_seed(config.seed)
-        self._make_env = partial(make_env, config, dump_dir=run.resolve() / "diverged")
-        self.env = self._make_env()
+        share = config.share(0)
+        self.torch_threads = torch.get_num_threads() if share is config else share.num_threads
+        self.env = make_env(share, dump_dir=run.resolve() / DUMPS)
         self.curriculum = self.env.transform[0]
-        scale = reward_scale(self.env.base_env.readings)
-        self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
-        networks = make_run_networks(config, self.env)
+        networks = make_run_networks(share, self.env)
         if state is not None:
             load_networks(networks, state["learner"]["networks"], run)
         elif other is not None:
@@ -68,13 +69,13 @@ class Trainer:
         if state is None:
             _clear(run)
         if state is None and other is None:
-            self._acquaint(networks)
-        self.learner = Learner(networks.to(config.device), config)
+            with torch_threads(self.torch_threads):  # compiled steps are for that many
+                self._acquaint(networks)
+        self.learner = Learner(networks.to(config.device), share)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
         self.reward, self.best_reward = 0.0, float("-inf")  # of episodes: running mean, and the best at a checkpoint
         self._mark = time.monotonic()  # the end of the last iteration
-        self._carried: dict[str, Any] = {}  # what the next batch depends on besides the networks
-        self._rng: torch.Tensor | None = None
+        self._carried: list[dict[str, Any]] = []  # by member, what its next batch depends on besides the networks
         self._start: dict[str, Any] | None = None  # the run that this one began from
         if state is not None:
             self._restore(state)
@@ -95,13 +96,14 @@ class Trainer:
             The signal that ended it early, or None.
         """
         write_json(self.run / "config.json", self.config.to_dict())
-        with Interrupt() as interrupt:
+        with Interrupt() as interrupt, torch_threads(self.torch_threads):
             try:
-                _ = self.collection  # workers take a while: not part of the first iteration's time
+                _ = self.member  # other processes take a while: not part of the first iteration's time
                 self.save()
                 with self.progress:
                     self._loop(interrupt, on_iteration)
                 self.save()
+                self.member.team.dismiss()
             except CollectionError:
                 self.save()  # what was learned is whole: it was the next batch that did not come
                 if interrupt.signal is None:  # a whole process group may be asked to stop, workers included
@@ -114,16 +116,25 @@ class Trainer:
         return interrupt.signal
 
     @cached_property
-    def collection(self) -> Collection:
-        """Where batches come from; workers start when it is first asked for, and end with :meth:`train`."""
-        config = self.config
-        policy = self.learner.networks.rollout_policy(config.act_source, config.student_fraction)
-        policy = correlate(policy, config.noise_correlation)
-        collection = Collection(config, self.env, self._make_env, policy, started=self.iteration)
-        collection.load_state_dict(self._carried)
-        if self._rng is not None:
-            torch.set_rng_state(self._rng)  # last: building all this drew from it
-        return collection
+    def member(self) -> Member:
+        """This process's part; other processes start when it is first asked for, and end with :meth:`train`."""
+        team = Team.form(self.config.learners, assist, self.config, self.run)
+        try:
+            start = {
+                "learner": self.learner.state_dict(),
+                "weights": self.curriculum.weights,
+                "iteration": self.iteration,
+                "members": self._carried,
+            }
+            if team.size > 1:
+                team.share(start)
+            member = make_member(self.learner, self.env, team, self.run, self.iteration)
+        except BaseException:
+            team.disband()
+            raise
+        if self._carried:
+            member.load_state(self._carried[0])
+        return member
 
     @torch.no_grad()
     def _acquaint(self, networks: RidingNetworks) -> None:
@@ -134,9 +145,10 @@ class Trainer:
             networks.update_normalizers(step)
 
     def _close(self) -> None:
-        if "collection" in vars(self):
-            self.collection.shutdown()
-            del self.collection
+        if "member" in vars(self):
+            self.member.collection.shutdown()
+            self.member.team.disband()
+            del self.member
 
     def _loop(self, interrupt: Interrupt, on_iteration: Callable[[dict[str, float]], bool | None] | None) -> None:
         saved = self._mark = time.monotonic()
@@ -166,14 +178,10 @@ class Trainer:
         """Collects a batch and learns from it.
 
         Returns:
-            Its metrics; the seconds are those since the last iteration, logs and checkpoints included.
+            Its metrics; frames a second and minutes are with logs and checkpoints.
         """
-        self.learner.anneal(self.progress_made)
-        batch = self.collection.collect()
-        collected = time.monotonic()
-        metrics = self._learn(batch)
+        metrics = self.member.lead("iterate", self.progress_made)
         now = time.monotonic()
-        metrics["collect_seconds"], metrics["learn_seconds"] = collected - self._mark, now - collected
         metrics["frames_per_second"] = self.config.frames_per_batch / (now - self._mark)
         self.frames += self.config.frames_per_batch
         self.iteration += 1
@@ -184,25 +192,13 @@ class Trainer:
         metrics["frames"], metrics["iteration"], metrics["minutes"] = self.frames, self.iteration, self.seconds / 60
         return metrics
 
-    def _learn(self, batch: TensorDictBase) -> dict[str, float]:
-        metrics = batch_metrics(batch, self._tracking_max)
-        metrics.update(self.learner.update(batch))
-        self.collection.publish()
-        self.collection.exchange()
-        metrics["command_area"] = self.curriculum.command_area[0]
-        metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
-        metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
-        diverged = self.collection.num_diverged  # asks the workers
-        if diverged is not None:
-            metrics["diverged"] = diverged
-        return metrics
-
     def save(self) -> None:
         """Writes the checkpoint (config, learner, curriculum, collection, counters) and where it comes from."""
         origin = provenance(self.config, self.frames, self.seconds, self._start)
         write_json(self.run / "run.json", origin)
-        if "collection" in vars(self):
-            self._carried = self.collection.state_dict()
+        if "member" in vars(self):
+            self._carried = self.member.lead("state")
+        mine, *others = self._carried or [{"collection": {}, "rng": torch.get_rng_state()}]
         best = self.iteration > 1 / _MEMORY and self.reward > self.best_reward
         self.best_reward = self.reward if best else self.best_reward
         save_checkpoint(
@@ -212,13 +208,13 @@ class Trainer:
                 "start": self._start,
                 "learner": self.learner.state_dict(),
                 "curriculum": {"weights": self.curriculum.weights, **self.curriculum.get_extra_state()},
-                "collection": self._carried,
+                **mine,
+                "members": others,
                 "frames": self.frames,
                 "iteration": self.iteration,
                 "seconds": self.seconds,
                 "reward": self.reward,
                 "best_reward": self.best_reward,
-                "rng": torch.get_rng_state(),
                 "provenance": origin,
             },
             best=best,
@@ -236,7 +232,8 @@ class Trainer:
         self.frames, self.iteration = state["frames"], state["iteration"]
         self.seconds = state["seconds"]
         self._start = state.get("start")
-        self._carried, self._rng = state.get("collection", {}), state["rng"]
+        own = {"collection": state.get("collection", {}), "rng": state["rng"]}
+        self._carried = [own, *state.get("members", [])]
         self.reward = state.get("reward", 0.0)
         self.best_reward = state.get("best_reward", float("-inf"))
 
@@ -254,5 +251,5 @@ def _clear(run: Path) -> None:
     """Removes what an earlier run wrote to the folder: two runs' checkpoints and logs must not mix."""
     for name in (NAME, PREVIOUS, BEST, "progress.csv"):
         (run / name).unlink(missing_ok=True)
-    for name in ("tensorboard", "diverged"):
+    for name in ("tensorboard", DUMPS):
         shutil.rmtree(run / name, ignore_errors=True)

@@ -6,6 +6,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable
+from types import FunctionType, MethodType
 from typing import Any
 
 import torch
@@ -21,9 +22,8 @@ def compiler() -> str | None:
 def compile_step(step: Callable[..., Any], dynamic: bool | None = None) -> Callable[..., Any]:
     """``step``, compiled at its first call, which takes half a minute; what it calls must be traceable by torch.
 
-    torch keeps the result on disk for the next process. A second number of robots is compiled for any number. Other
-    robots, transporters, readings or numbers of torch threads are compiled anew, and run eagerly after eight of them,
-    with torch's warning.
+    torch keeps the result on disk for the next process. Another number of torch threads is compiled anew, and run
+    eagerly after eight of them, with torch's warning.
 
     Args:
         step: a function of tensors, and of what does not change.
@@ -37,4 +37,12 @@ def compile_step(step: Callable[..., Any], dynamic: bool | None = None) -> Calla
             "compiled=True needs a C++ compiler on PATH, g++ (macOS: clang++) or $CXX, and Python's headers; "
             "install them, or do without"
         )
-    return torch.compile(step, dynamic=dynamic)
+    return torch.compile(_own(step), dynamic=dynamic)
+
+
+def _own(step: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function with code of its own: torch searches what was compiled of one code in order, at every call."""
+    if isinstance(step, MethodType):
+        return MethodType(_own(step.__func__), step.__self__)
+    code = step.__code__.replace()
+    return FunctionType(code, step.__globals__, step.__name__, step.__defaults__, step.__closure__)

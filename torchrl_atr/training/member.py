@@ -1,0 +1,138 @@
+"""One process's part of every iteration: its robots ride, its copy of the learner learns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from torchrl.envs import TransformedEnv
+
+from torchrl_atr.envs.task.rewards import MAX_TRACKING, reward_scale
+from torchrl_atr.modules import correlate
+from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
+from torchrl_atr.training.collection import Collection
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.learner import Learner
+from torchrl_atr.training.metrics import batch_metrics
+from torchrl_atr.training.team import Team, torch_threads
+
+DUMPS = "diverged"
+"""Folder of a run that simulations which failed are written to."""
+
+
+class Member:
+    """Robots, collection and learner of one process, and its team.
+
+    The leader says what is done next, by name: :meth:`lead` there, :meth:`follow` elsewhere.
+
+    Args:
+        learner: whose networks ride.
+        collection: of this process's robots.
+        team: those it learns with.
+    """
+
+    def __init__(self, learner: Learner, collection: Collection, team: Team) -> None:
+        self.learner, self.collection, self.team = learner, collection, team
+        scale = reward_scale(collection.env.base_env.readings)
+        self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
+
+    def lead(self, name: str, *arguments: Any) -> Any:
+        """Has every member call its method ``name``; returns what the leader's returns."""
+        self.team.share((name, arguments))
+        return getattr(self, name)(*arguments)
+
+    def follow(self) -> None:
+        """Does what the leader says, until it dismisses the team."""
+        while (order := self.team.share(None)) is not None:
+            name, arguments = order
+            getattr(self, name)(*arguments)
+
+    def iterate(self, progress: float) -> dict[str, float]:
+        """Collects a batch and learns from it.
+
+        Args:
+            progress: share of the run that is over, in [0, 1].
+
+        Returns:
+            In the leader, metrics of all batches.
+        """
+        self.learner.anneal(progress)
+        started = time.monotonic()
+        batch = self.collection.collect()
+        collected = time.monotonic()
+        metrics = batch_metrics(batch, self._tracking_max)
+        metrics.update(self.learner.update(batch))
+        if self.team.size > 1:  # networks, normalisers, moments, learning rate
+            self.learner.load_state_dict(self.team.average(self.learner.state_dict()))
+        self.collection.publish()
+        self.collection.exchange()
+        curriculum = self.collection.curriculum
+        curriculum.merge_(self.team.maximum(curriculum.weights))
+        metrics["command_area"] = curriculum.command_area[0]
+        metrics["frontier_speed"], metrics["frontier_yaw_rate"] = curriculum.frontier
+        metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
+        diverged = self.collection.num_diverged  # asks the workers
+        if diverged is not None:
+            metrics["diverged"] = diverged
+        metrics["collect_seconds"], metrics["learn_seconds"] = collected - started, time.monotonic() - collected
+        return _summary(self.team.gather(metrics))
+
+    def state(self) -> list[dict[str, Any]]:
+        """In the leader, what every member's next batch depends on besides the networks, by rank."""
+        return self.team.gather({"collection": self.collection.state_dict(), "rng": torch.get_rng_state()})
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Restores one member's part of :meth:`state`."""
+        self.collection.load_state_dict(state["collection"])
+        torch.set_rng_state(state["rng"])  # last: building all this drew from it
+
+
+def make_member(learner: Learner, env: TransformedEnv, team: Team, run: Path, started: int = 0) -> Member:
+    """A member around a learner and an env; workers start.
+
+    Args:
+        learner: with the configuration of this process's share.
+        env: its env.
+        team: those it learns with.
+        run: the run folder.
+        started: iterations that the run has behind it.
+    """
+    config = learner.config
+    policy = learner.networks.rollout_policy(config.act_source, config.student_fraction)
+    policy = correlate(policy, config.noise_correlation)
+    maker = partial(make_env, config, dump_dir=run.resolve() / DUMPS)
+    return Member(learner, Collection(config, env, maker, policy, started), team)
+
+
+def assist(team: Team, config: TrainConfig, run: Path) -> None:
+    """What a helper's process does: makes its own robots and networks, takes over what the leader has, and follows.
+
+    Args:
+        team: as this process knows it.
+        config: of the run.
+        run: the run folder.
+    """
+    import_modules(config.imports)
+    share = config.share(team.rank)
+    torch.manual_seed(share.seed)
+    with torch_threads(share.num_threads):
+        env = make_env(share, dump_dir=run.resolve() / DUMPS)
+        learner = Learner(make_run_networks(share, env), share)
+        start = team.share(None)
+        learner.load_state_dict(start["learner"])
+        env.transform[0].load_weights(start["weights"])
+        member = make_member(learner, env, team, run, start["iteration"])
+        if start["members"]:
+            member.load_state(start["members"][team.rank])
+        member.follow()
+
+
+def _summary(members: Sequence[dict[str, float]]) -> dict[str, float]:
+    """Means over the members that have a metric; failed simulations are counted."""
+    names = dict.fromkeys(name for metrics in members for name in metrics)
+    known = {name: [metrics[name] for metrics in members if name in metrics] for name in names}
+    return {name: sum(each) if name == "diverged" else sum(each) / len(each) for name, each in known.items()}

@@ -1,0 +1,59 @@
+"""Within what each number of the recipe makes sense."""
+
+from __future__ import annotations
+
+from torchrl_atr.envs.transforms import CommandGrid
+
+BOUNDS = CommandGrid().bounds
+"""The paper's largest command: m/s and rad/s."""
+_POSITIVE = 1e-12
+RANGES: dict[str, tuple[float, float]] = {
+    "num_envs": (1, 1_000_000),
+    "rollout_steps": (2, 100_000),
+    "total_frames": (1, 1e15),
+    "max_minutes": (0, 1e9),
+    "seed": (0, 2**31 - 1),
+    "num_threads": (0, 4096),
+    "workers": (1, 4096),
+    "learners": (1, 4096),
+    "gamma": (0, 0.99999),
+    "gae_lambda": (0, 1),
+    "epochs": (1, 1000),
+    "minibatches": (1, 100_000),
+    "learning_rate": (_POSITIVE, 1),
+    "max_learning_rate": (_POSITIVE, 1),
+    "target_kl": (_POSITIVE, 10),
+    "final_kl": (_POSITIVE, 10),
+    "critic_learning_rate": (_POSITIVE, 1),
+    "estimator_learning_rate": (_POSITIVE, 1),
+    "clip_epsilon": (_POSITIVE, 1),
+    "entropy_coeff": (0, 10),
+    "max_grad_norm": (_POSITIVE, 1e9),
+    "init_std": (1e-3, 10),
+    "relative_std": (1e-3, 10),
+    "min_std": (0, 10),
+    "noise_correlation": (0, 0.999),
+    "final_std": (1e-3, 10),
+    "anneal_from": (0, 0.99),
+    "anneal_until": (0.01, 1),
+    "smoothness_coeff": (0, 1e3),
+    "roa_coeff": (0, 1e3),
+    "adaptation_epochs": (1, 1000),
+    "student_fraction": (0, 1),
+    "history_length": (1, 1000),
+    "moving_start": (0, 1),
+    "retry": (0, 1),
+    "episode_seconds": (0.1, 1e6),
+    "command_seconds": (0.1, 1e6),
+    "steering_emphasis": (0, 100),
+    "tracking_threshold": (0.01, 1),
+    "score_from_seconds": (0, 1e6),
+    "initial_speed": (_POSITIVE, BOUNDS[0]),
+    "initial_yaw_rate": (_POSITIVE, BOUNDS[1]),
+    "max_speed": (_POSITIVE, BOUNDS[0]),
+    "max_yaw_rate": (_POSITIVE, BOUNDS[1]),
+    "runaway_speed": (_POSITIVE, 1e6),
+    "runaway_yaw_rate": (_POSITIVE, 1e6),
+    "checkpoint_seconds": (0, 1e6),
+}
+"""Smallest and largest value of each number."""
