@@ -52,6 +52,25 @@ def test_averages_and_objects_are_the_same_in_every_member(tmp_path):
         assert found["share"] == "ours"
 
 
+class Stillborn:
+    """A helper that does not survive the way into its process."""
+
+    def __call__(self, team):
+        raise AssertionError
+
+    def __setstate__(self, state):
+        os._exit(1)
+
+    def __getstate__(self):
+        return {"some": "state"}
+
+
+def test_a_helper_that_cannot_be_started_is_not_waited_for():
+    with pytest.raises(TeamError, match="learners=2: a learner could not be started"):
+        Team.form(2, Stillborn())
+    assert not torch.distributed.is_initialized()
+
+
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """A run of four iterations by two learners, and the same one interrupted after two and resumed."""

@@ -66,12 +66,12 @@ class Member:
         collected = time.monotonic()
         metrics = batch_metrics(batch, self._tracking_max)
         metrics.update(self.learner.update(batch))
-        if self.team.size > 1:  # networks, normalisers, moments, learning rate
+        curriculum = self.collection.curriculum
+        if self.team.size > 1:  # of networks, normalisers, moments and learning rates
             self.learner.load_state_dict(self.team.average(self.learner.state_dict()))
+            curriculum.merge_(self.team.maximum(curriculum.weights))
         self.collection.publish()
         self.collection.exchange()
-        curriculum = self.collection.curriculum
-        curriculum.merge_(self.team.maximum(curriculum.weights))
         metrics["command_area"] = curriculum.command_area[0]
         metrics["frontier_speed"], metrics["frontier_yaw_rate"] = curriculum.frontier
         metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())

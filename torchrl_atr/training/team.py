@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
@@ -20,6 +21,8 @@ _PATIENCE = timedelta(days=1)
 """How long a member waits for the others: the leader may be evaluated in between. A dead one is noticed at once."""
 _FAREWELL = 10.0
 """Seconds that a helper may take to end."""
+_GLANCE = 0.05
+"""Seconds between two looks at whether helpers have come."""
 _HOST = "127.0.0.1"
 
 
@@ -76,13 +79,26 @@ class Team:
             raise TeamError(f"learners={size}: this process uses torch.distributed already; take learners=1")
         store = distributed.TCPStore(_HOST, 0, is_master=True, wait_for_workers=False)
         spawn = multiprocessing.get_context("spawn")
-        for rank in range(1, size):
-            process = spawn.Process(target=_join, args=(rank, size, store.port, helper, arguments), daemon=True)
-            process.start()
-            team._helpers.append(process)
-        with team._together("could not be started"):
-            distributed.init_process_group("gloo", store=store, rank=0, world_size=size, timeout=_PATIENCE)
+        try:
+            for rank in range(1, size):
+                process = spawn.Process(target=_join, args=(rank, size, store.port, helper, arguments), daemon=True)
+                process.start()
+                team._helpers.append(process)
+            team._wait_for_helpers(store)
+            with team._together():
+                _meet(team, store)
+        except BaseException:
+            team.disband()
+            raise
         return team
+
+    def _wait_for_helpers(self, store: distributed.TCPStore) -> None:
+        """Until all have come: gloo itself would wait for one that died on its way."""
+        places = [_place(rank) for rank in range(1, self.size)]
+        while not store.check(places):
+            if not all(process.is_alive() for process in self._helpers):
+                raise TeamError(f"learners={self.size}: a learner could not be started, see above")
+            time.sleep(_GLANCE)
 
     def dismiss(self) -> None:
         """Tells helpers that wait for an order that there is none any more, and waits until they are gone."""
@@ -148,14 +164,14 @@ class Team:
         return reduced
 
     @contextmanager
-    def _together(self, what: str = "failed") -> Iterator[None]:
+    def _together(self) -> Iterator[None]:
         """Turns what gloo raises when a member is gone into one error."""
         try:
             yield
         except RuntimeError as error:
             line = str(error).splitlines()[0]
             raise TeamError(
-                f"learners={self.size}: a learner {what} ({line}, see above); "
+                f"learners={self.size}: a learner failed ({line}, see above); "
                 "go on from the last checkpoint with --resume"
             ) from error
 
@@ -167,10 +183,19 @@ def _join(rank: int, size: int, port: int, helper: Callable[..., None], argument
     team = Team(rank, size)
     try:
         store = distributed.TCPStore(_HOST, port, is_master=False)
-        distributed.init_process_group("gloo", store=store, rank=rank, world_size=size, timeout=_PATIENCE)
+        store.set(_place(rank), "here")
+        _meet(team, store)
         helper(team, *arguments)
     except TeamError:
         raise SystemExit(1) from None  # the leader is gone, or says so itself
+
+
+def _place(rank: int) -> str:
+    return f"member {rank}"
+
+
+def _meet(team: Team, store: distributed.TCPStore) -> None:
+    distributed.init_process_group("gloo", store=store, rank=team.rank, world_size=team.size, timeout=_PATIENCE)
 
 
 def _is_real(leaf: Any) -> bool:

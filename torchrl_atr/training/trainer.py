@@ -120,14 +120,14 @@ class Trainer:
         """This process's part; other processes start when it is first asked for, and end with :meth:`train`."""
         team = Team.form(self.config.learners, assist, self.config, self.run)
         try:
-            start = {
-                "learner": self.learner.state_dict(),
-                "weights": self.curriculum.weights,
-                "iteration": self.iteration,
-                "members": self._carried,
-            }
-            if team.size > 1:
-                team.share(start)
+            team.share(
+                {
+                    "learner": self.learner.state_dict(),
+                    "weights": self.curriculum.weights,
+                    "iteration": self.iteration,
+                    "members": self._carried,
+                }
+            )
             member = make_member(self.learner, self.env, team, self.run, self.iteration)
         except BaseException:
             team.disband()
