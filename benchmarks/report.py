@@ -57,8 +57,9 @@ def _head(results: dict[str, Any]) -> str:
         f"# Benchmark\n\n`{results['command']}`, {results['date']}: {machine['processor']}, CPUs for this process: "
         f"{machine['cpus']}, torch threads: {machine['torch_threads']}; load average {before:.1f} before, "
         f"{after:.1f} after. {versions}.\n\n"
-        f"Rates are medians of {plan['rounds']} rounds in which all contenders took turns, {plan['seconds']:g} s or "
-        "more each; ratios are of medians. A step is a robot's control step, 0.02 s. Networks are untrained."
+        f"Rates are medians of {plan['rounds']} rounds in which all contenders with as many robots took turns, "
+        f"{plan['seconds']:g} s or more each; ratios are of medians. A step is a robot's control step, 0.02 s. "
+        "Networks are untrained."
         + " Our envs are compiled (`compiled=True`) where it does not say otherwise; memory is without."
         * plan["compiled"]
     )

@@ -23,3 +23,22 @@ def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp)
         expected = 0.2 * min(progress, 1.0) if ramp else 0.2
         assert float(learner.loss.roa_coeff) == pytest.approx(expected)
     assert torch.isfinite(learner.networks.backbone.std.raw).all()
+
+
+def test_r1_counts_more_while_the_run_lasts_and_the_terms_stay():
+    config = make_config(
+        {"num_envs": 4, "rollout_steps": 2, "num_threads": 1, "minibatches": 1, "steering_emphasis": 5}
+    )
+    env = make_env(config)
+    learner, rewards = Learner(make_run_networks(config, env), config), []
+    policy, advantage = learner.networks.rollout_policy(config.act_source), learner.advantage
+    with torch.no_grad():
+        batch = env.rollout(2, policy, break_when_any_done=False)
+    learner.advantage = lambda data: (rewards.append(data["next", "reward"].clone()), advantage(data))[1]
+    plain, steering = batch["next", "reward"].clone(), batch["next", "reward_terms", "steering_command"].clone()
+    for progress in (0.0, 0.25, 1.0):
+        learner.anneal(progress)
+        learner.update(batch.clone())
+    for seen, count in zip(rewards, (1.0, 2.0, 5.0), strict=True):
+        torch.testing.assert_close(seen, plain + (count - 1.0) * steering)
+    assert torch.equal(batch["next", "reward_terms", "steering_command"], steering)

@@ -227,9 +227,6 @@ class TrainConfig:
     def share(self, rank: int) -> TrainConfig:
         """What one of the learners works with: its part of the robots and of the CPUs, and a seed of its own.
 
-        A step is mostly a batch's noise, of which the mean of K learners has a K-th of the divergence: that mean is to
-        have the KL target, so that each has K times of it.
-
         Args:
             rank: which one; the first keeps the seed.
         """
@@ -242,8 +239,6 @@ class TrainConfig:
             num_threads=max(1, cpus // self.learners),
             seed=(self.seed + SEED_STRIDE * rank) % 2**31,
             learners=1,
-            target_kl=self.target_kl * self.learners,
-            final_kl=self.final_kl * self.learners,
         )
 
     @property
