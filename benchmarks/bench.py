@@ -38,7 +38,7 @@ class Plan:
         num_envs: N of the layers; one of ``sizes``.
         sizes: N, for cost and peak memory.
         training_sizes: N that are trained, the recipe's first; each one of ``sizes``. Where there are several CPUs,
-            they are also trained by as many learners.
+            they are also trained by as many learners, if they can be shared evenly.
         steps: control steps of a collector's batch, the recipe's.
         rounds: samples of each contender.
         seconds: least time of a sample.
@@ -146,7 +146,7 @@ def _learners(plan: Plan, size: int) -> list[int]:
     """How many learners train that many robots, one run each."""
     if size not in plan.training_sizes:
         return []
-    return [1] if plan.cpus == 1 else [1, plan.cpus]
+    return [1, plan.cpus] if plan.cpus > 1 and size % plan.cpus == 0 else [1]
 
 
 def _loop(plan: Plan, size: int, scratch: Path, learners: int) -> TrainingLoop:

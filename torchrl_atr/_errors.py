@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import textwrap
+
 
 class UserError(Exception):
     """Something the user gave is wrong; the message names it and says what to do."""
@@ -9,3 +11,14 @@ class UserError(Exception):
 
 class InputError(UserError, ValueError):
     """An argument with an impossible value, where no narrower error says more."""
+
+
+def first_line(error: BaseException) -> str:
+    r"""What another library's error says, in a line of ours.
+
+    Example:
+        >>> first_line(RuntimeError("no such port\nsee the manual")), first_line(KeyboardInterrupt())
+        ('no such port', 'KeyboardInterrupt')
+    """
+    line = (str(error).strip() or type(error).__name__).splitlines()[0]
+    return textwrap.shorten(line, 160)

@@ -7,33 +7,8 @@ import signal
 import pytest
 import torch
 
+from tests.training.states import FRAMES, SMALL, differing
 from torchrl_atr.training import Trainer, load_checkpoint, make_config
-
-FRAMES = 6 * 64
-SMALL = {
-    "num_envs": 8,
-    "rollout_steps": 8,
-    "total_frames": FRAMES,
-    "num_threads": 1,
-    "minibatches": 2,
-    "epochs": 2,
-    "episode_seconds": 0.3,  # some episodes end in every batch
-    "command_seconds": 0.2,
-    "score_from_seconds": 0.02,
-}
-
-
-def differing(one, two, path=""):
-    """Paths at which two nested states differ, bit for bit."""
-    if isinstance(one, dict):
-        if one.keys() != two.keys():
-            return [f"{path}: {one.keys() ^ two.keys()}"]
-        return [line for key in one for line in differing(one[key], two[key], f"{path}/{key}")]
-    if isinstance(one, list | tuple):
-        return [line for i, (a, b) in enumerate(zip(one, two, strict=True)) for line in differing(a, b, f"{path}/{i}")]
-    if isinstance(one, torch.Tensor):
-        return [] if torch.equal(one, two) else [path]
-    return [] if one == two else [path]
 
 
 def interrupt_after(iteration):

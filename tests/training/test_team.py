@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 import torch
 
+from tests.training.states import FRAMES, SMALL, differing
 from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config
 from torchrl_atr.training.team import Team, TeamError
 
-SETTINGS = {"num_envs": 8, "rollout_steps": 4, "num_threads": 2, "epochs": 1, "minibatches": 1, "learners": 2}
+SETTINGS = {**SMALL, "num_threads": 2, "learners": 2, "moving_start": 0.0, "tracking_threshold": 0.01}
 
 
 def meet(team, path):
@@ -71,42 +76,35 @@ def test_a_helper_that_cannot_be_started_is_not_waited_for():
     assert not torch.distributed.is_initialized()
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """A run of four iterations by two learners, and the same one interrupted after two and resumed."""
-    folder = tmp_path_factory.mktemp("runs")
-    config = make_config({**SETTINGS, "total_frames": 4 * 32, "minibatches": 2})
-    straight = Trainer(config, folder / "straight")
+def test_a_run_of_two_learners_shares_what_it_learned_and_resumes_bit_for_bit(tmp_path):
+    config = make_config(SETTINGS)
+    straight = Trainer(config, tmp_path / "straight")
     straight.train()
-    halves = Trainer(config, folder / "halves")
-    halves.train(lambda metrics: metrics["iteration"] == 2)
-    resumed = Trainer(config, folder / "halves", load_checkpoint(folder / "halves"))
-    resumed.train()
-    return folder, straight, resumed
-
-
-def test_a_run_of_two_learners_counts_all_frames_and_resumes_bit_for_bit(run):
-    folder, straight, resumed = run
-    assert (straight.frames, straight.iteration) == (128, 4)
+    assert (straight.frames, straight.iteration) == (FRAMES, 6)
     assert straight.env.batch_size == (4,)
-    states = [load_checkpoint(folder / name) for name in ("straight", "halves")]
-    robots = [state["collection"]["env"]["qpos"] for state in states]
-    others = [state["members"][0]["collection"]["env"]["qpos"] for state in states]
-    assert not torch.equal(robots[0], others[0])  # each has its own
-    assert torch.equal(robots[0], robots[1])
-    assert torch.equal(others[0], others[1])
-    for name, value in straight.learner.networks.state_dict().items():
-        assert torch.equal(value, resumed.learner.networks.state_dict()[name]), name
+    halves = Trainer(config, tmp_path / "halves")
+    halves.train(lambda metrics: metrics["iteration"] == 3)
+    Trainer(config, tmp_path / "halves", load_checkpoint(tmp_path / "halves")).train()
+
+    ends = [load_checkpoint(tmp_path / name) for name in ("straight", "halves")]
+    for end in ends:
+        for saving in ("seconds", "provenance", "best_reward"):  # depend on the clock, and on when it was saved
+            del end[saving]
+    assert differing(*ends) == []
+    ours, theirs = ends[0]["collection"], ends[0]["members"][0]["collection"]
+    assert not torch.equal(ours["env"]["qpos"], theirs["env"]["qpos"])  # each has its own robots
+    weights = ends[0]["curriculum"]["weights"]
+    assert weights.sum() > straight.curriculum.grid.initial_weights().sum()
+    assert torch.equal(theirs["transforms"]["transforms.0.weights"], weights)
 
 
-def test_a_killed_learner_is_a_named_error_and_the_last_checkpoint_stands(run, tmp_path):
-    config = make_config({**SETTINGS, "total_frames": 10_000})
-    trainer = Trainer(config, tmp_path / "run")
+def test_a_killed_learner_is_a_named_error_and_the_last_checkpoint_stands(tmp_path):
+    trainer = Trainer(make_config({**SETTINGS, "total_frames": 10_000}), tmp_path / "run")
     pids = []
 
     def kill(metrics):
         pids.append(trainer.member.team._helpers[0].pid)
-        os.kill(pids[0], 9)
+        os.kill(pids[0], signal.SIGKILL)
 
     started = time.monotonic()
     with pytest.raises(TeamError, match=r"learners=2: a learner failed .* --resume"):
@@ -116,6 +114,38 @@ def test_a_killed_learner_is_a_named_error_and_the_last_checkpoint_stands(run, t
     with pytest.raises(ProcessLookupError):
         os.kill(pids[0], 0)
     assert not torch.distributed.is_initialized()
+
+
+def test_a_checkpoint_of_one_learner_is_not_gone_on_with_by_two(tmp_path):
+    config = make_config({**SETTINGS, "learners": 1, "total_frames": 64})
+    Trainer(config, tmp_path).train()
+    with pytest.raises(ConfigError, match="learners=2: the checkpoint is of 1; go on with as many"):
+        Trainer(make_config(SETTINGS), tmp_path, load_checkpoint(tmp_path))
+
+
+FORGETFUL = """
+from torchrl_atr.training.team import Team
+from tests.training.test_team import wait_for_orders
+
+if __name__ == "__main__":
+    team = Team.form(2, wait_for_orders)
+    print(team._helpers[0].pid, flush=True)
+"""
+
+
+def wait_for_orders(team):
+    """What helpers do between iterations."""
+    team.share(None)
+
+
+def test_a_leader_that_ends_without_a_word_leaves_no_helpers(tmp_path):
+    program = tmp_path / "forgetful.py"
+    program.write_text(FORGETFUL)
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, str(program)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=True)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(done.stdout), 0)
 
 
 def test_what_cannot_be_shared_is_refused():

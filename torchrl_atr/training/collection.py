@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import signal
 import socket
-import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -20,7 +19,7 @@ from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
-from torchrl_atr._errors import UserError
+from torchrl_atr._errors import UserError, first_line
 from torchrl_atr.envs.transforms import CommandCurriculum
 from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 
@@ -153,7 +152,7 @@ class Collection:
                 raise
             self._broken = True
             raise CollectionError(
-                f"collector={self.config.collector!r}: a worker {what} ({_first_line(error)}, see above); "
+                f"collector={self.config.collector!r}: a worker {what} ({first_line(error)}, see above); "
                 "go on from the last checkpoint with --resume"
             ) from error
 
@@ -253,11 +252,6 @@ def _worker_env(make_env: Callable[..., TransformedEnv], weights: Tensor, *, see
     env = make_env(seed=seed, **share)
     env.transform[0].load_weights(weights)
     return env
-
-
-def _first_line(error: BaseException) -> str:
-    line = (str(error).strip() or type(error).__name__).splitlines()[0]
-    return textwrap.shorten(line, 160)
 
 
 def _drop(batch: TensorDictBase) -> TensorDictBase:

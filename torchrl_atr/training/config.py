@@ -53,8 +53,8 @@ class TrainConfig:
         collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
             engine ``process``, ``ray`` or ``distributed``.
         workers: processes that share the robots and the CPUs.
-        learners: processes of this host that each ride their share of the robots on their share of the CPUs, and learn
-            from all of them together.
+        learners: processes of this host that each ride their share of the robots on their share of the CPUs (of physics
+            and of torch), and learn from all of them together.
         gamma, gae_lambda: discount and GAE's λ.
         epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
         learning_rate, max_learning_rate, target_kl: of the policy; adapted to the measured KL divergence.
@@ -85,7 +85,8 @@ class TrainConfig:
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
-        steering_emphasis: how often r1 counts in what is learned from at the end of the run; once at its start.
+        steering_emphasis: how often r1 counts in what is learned from at the end of the run; once at its start. What it
+            counts more comes on top of the reward, after the clipping of the profile ``ancestor``.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).

@@ -92,7 +92,7 @@ class Learner:
         late = min(max(0.0, late), 1.0)
         self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
-        self._emphasis = 1.0 + progress * (config.steering_emphasis - 1.0)
+        self._emphasis = 1.0 + min(progress, 1.0) * (config.steering_emphasis - 1.0)
         if self._roa_ramp is not None:
             self._roa_ramp.step(progress)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from statistics import mean
 from typing import Any
 
 import torch
@@ -67,8 +68,10 @@ class Member:
         metrics = batch_metrics(batch, self._tracking_max)
         metrics.update(self.learner.update(batch))
         curriculum = self.collection.curriculum
-        if self.team.size > 1:  # of networks, normalisers, moments and learning rates
-            self.learner.load_state_dict(self.team.average(self.learner.state_dict()))
+        if self.team.size > 1:
+            state = self.learner.state_dict()
+            learned = {name: state[name] for name in ("networks", "optimizers")}  # normalisers and rates among them
+            self.learner.load_state_dict({**state, **self.team.average(learned)})
             curriculum.merge_(self.team.maximum(curriculum.weights))
         self.collection.publish()
         self.collection.exchange()
@@ -132,7 +135,8 @@ def assist(team: Team, config: TrainConfig, run: Path) -> None:
 
 
 def _summary(members: Sequence[dict[str, float]]) -> dict[str, float]:
-    """Means over the members that have a metric; failed simulations are counted."""
+    """Means over the members that have a metric; the sum of failed simulations, the most of skipped steps."""
     names = dict.fromkeys(name for metrics in members for name in metrics)
     known = {name: [metrics[name] for metrics in members if name in metrics] for name in names}
-    return {name: sum(each) if name == "diverged" else sum(each) / len(each) for name, each in known.items()}
+    special: dict[str, Callable[[list[float]], float]] = {"diverged": sum, "skipped_steps": max}
+    return {name: special.get(name, mean)(each) for name, each in known.items()}

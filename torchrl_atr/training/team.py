@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
+from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Any
 
@@ -15,7 +17,8 @@ import torch
 from torch import Tensor, distributed
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
-from torchrl_atr._errors import UserError
+from torchrl_atr._errors import UserError, first_line
+from torchrl_atr.training.interrupt import SIGNALS
 
 _PATIENCE = timedelta(days=1)
 """How long a member waits for the others: the leader may be evaluated in between. A dead one is noticed at once."""
@@ -27,10 +30,10 @@ _HOST = "127.0.0.1"
 
 
 @contextmanager
-def torch_threads(count: int) -> Iterator[None]:
-    """Has torch use ``count`` threads, and afterwards as many as before."""
+def torch_threads(count: int | None) -> Iterator[None]:
+    """Has torch use ``count`` threads, and afterwards as many as before; None changes nothing."""
     before = torch.get_num_threads()
-    torch.set_num_threads(count)
+    torch.set_num_threads(count or before)
     try:
         yield
     finally:
@@ -79,11 +82,13 @@ class Team:
             raise TeamError(f"learners={size}: this process uses torch.distributed already; take learners=1")
         store = distributed.TCPStore(_HOST, 0, is_master=True, wait_for_workers=False)
         spawn = multiprocessing.get_context("spawn")
+        atexit.register(team.disband)  # helpers outlive the SIGTERM that multiprocessing sends them then
         try:
-            for rank in range(1, size):
-                process = spawn.Process(target=_join, args=(rank, size, store.port, helper, arguments), daemon=True)
-                process.start()
-                team._helpers.append(process)
+            with _signals_held():
+                for rank in range(1, size):
+                    process = spawn.Process(target=_join, args=(rank, size, store.port, helper, arguments), daemon=True)
+                    process.start()
+                    team._helpers.append(process)
             team._wait_for_helpers(store)
             with team._together():
                 _meet(team, store)
@@ -114,6 +119,7 @@ class Team:
         if self._helpers and distributed.is_initialized():
             distributed.destroy_process_group()
         self._helpers = []
+        atexit.unregister(self.disband)
 
     def share(self, value: Any) -> Any:
         """The leader's ``value``, in every member."""
@@ -169,17 +175,17 @@ class Team:
         try:
             yield
         except RuntimeError as error:
-            line = str(error).splitlines()[0]
             raise TeamError(
-                f"learners={self.size}: a learner failed ({line}, see above); "
-                "go on from the last checkpoint with --resume"
+                f"learners={self.size}: a learner failed ({first_line(error)}, see above); "
+                "go on from the last checkpoint, if there is one, with --resume"
             ) from error
 
 
 def _join(rank: int, size: int, port: int, helper: Callable[..., None], arguments: Sequence[Any]) -> None:
     """What a helper's process runs."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)  # both may reach all processes; the leader decides
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     team = Team(rank, size)
     try:
         store = distributed.TCPStore(_HOST, port, is_master=False)
@@ -188,6 +194,17 @@ def _join(rank: int, size: int, port: int, helper: Callable[..., None], argument
         helper(team, *arguments)
     except TeamError:
         raise SystemExit(1) from None  # the leader is gone, or says so itself
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Processes that are started meanwhile are not ended by what the leader is asked while they import."""
+    resource_tracker.ensure_running()  # it lets signals through when it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _place(rank: int) -> str:

@@ -40,7 +40,7 @@ class Trainer:
         start: folder of another run, whose networks and command grid a new one begins with; all else begins anew.
 
     Attributes:
-        torch_threads: how many torch uses while it trains.
+        torch_threads: how many torch uses while several learn; None for as many as it does.
 
     Raises:
         CheckpointError: if the networks of either do not fit the settings.
@@ -56,7 +56,7 @@ class Trainer:
         other = None if start is None else _read_other(start, run)
         torch.manual_seed(config.seed)
         share = config.share(0)
-        self.torch_threads = torch.get_num_threads() if share is config else share.num_threads
+        self.torch_threads = None if config.learners == 1 else share.num_threads
         self.env = make_env(share, dump_dir=run.resolve() / DUMPS)
         self.curriculum = self.env.transform[0]
         networks = make_run_networks(share, self.env)
@@ -129,11 +129,11 @@ class Trainer:
                 }
             )
             member = make_member(self.learner, self.env, team, self.run, self.iteration)
+            if self._carried:
+                member.load_state(self._carried[0])
         except BaseException:
             team.disband()
             raise
-        if self._carried:
-            member.load_state(self._carried[0])
         return member
 
     @torch.no_grad()
@@ -234,6 +234,11 @@ class Trainer:
         self._start = state.get("start")
         own = {"collection": state.get("collection", {}), "rng": state["rng"]}
         self._carried = [own, *state.get("members", [])]
+        if len(self._carried) != self.config.learners:
+            raise ConfigError(
+                f"learners={self.config.learners}: the checkpoint is of {len(self._carried)}; go on with as many, or "
+                "begin a new run with --from"
+            )
         self.reward = state.get("reward", 0.0)
         self.best_reward = state.get("best_reward", float("-inf"))
 

@@ -26,7 +26,7 @@ def compile_step(step: Callable[..., Any], dynamic: bool | None = None) -> Calla
     eagerly after eight of them, with torch's warning.
 
     Args:
-        step: a function of tensors, and of what does not change.
+        step: a function or method of tensors, and of what does not change.
         dynamic: whether it is compiled for any number of robots, or one, at once.
 
     Raises:
@@ -44,5 +44,6 @@ def _own(step: Callable[..., Any]) -> Callable[..., Any]:
     """The same function with code of its own: torch searches what was compiled of one code in order, at every call."""
     if isinstance(step, MethodType):
         return MethodType(_own(step.__func__), step.__self__)
-    code = step.__code__.replace()
-    return FunctionType(code, step.__globals__, step.__name__, step.__defaults__, step.__closure__)
+    own = FunctionType(step.__code__.replace(), step.__globals__, step.__name__, step.__defaults__, step.__closure__)
+    own.__kwdefaults__ = step.__kwdefaults__
+    return own
