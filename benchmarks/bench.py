@@ -1,11 +1,11 @@
-"""The benchmark: in one run, all that has the same number of robots takes turns."""
+"""The benchmark: everything that is compared takes turns in one run."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,7 +17,7 @@ import torch
 
 from benchmarks import contenders, report, summary
 from benchmarks.memory import peak_memory
-from benchmarks.peers import Peer, available
+from benchmarks.peers import available
 from benchmarks.timing import Contender, Key, Rates, interleave, medians
 from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
 from torchrl_atr._files import say
@@ -37,8 +37,7 @@ class Plan:
         compiled: whether our envs are compiled, where there is a compiler.
         num_envs: N of the layers; one of ``sizes``.
         sizes: N, for cost and peak memory.
-        training_sizes: N that are trained, the recipe's first; each one of ``sizes``. Where there are several CPUs,
-            they are also trained by as many learners, if they can be shared evenly.
+        training_sizes: N that are trained, the recipe's first; each one of ``sizes``.
         steps: control steps of a collector's batch, the recipe's.
         rounds: samples of each contender.
         seconds: least time of a sample.
@@ -83,16 +82,28 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
     """
     folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found before, not after
     cpus, compiled = plan.cpus or len(os.sched_getaffinity(0)), plan.compiled and compiler() is not None
+    torch._dynamo.config.recompile_limit = 64  # each number of threads is one
     plan = dataclasses.replace(plan, cpus=cpus, compiled=compiled)
     results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}
     results["memory"] = _memory(plan)
     peers, results["skipped"] = available()
-    rates: Rates = {}
-    with tempfile.TemporaryDirectory() as scratch:
-        for size in plan.sizes:
-            say(f"{size} robots")
-            rates |= _turns(plan, size, Path(scratch), peers, results)
-    results |= _figures(plan, rates, results["profile"].pop("flops"))
+    with ExitStack() as stack:
+        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        loops = [_loop(plan, size, scratch) for size in plan.training_sizes]
+        makers: list[Maker] = [partial(loop.contender, plan.cpus) for loop in loops]
+        makers += [partial(matrix_products, loops[0], plan.cpus), *_layers(plan)]
+        makers += [partial(peer, plan.cpus) for peer in peers]
+        threads = torch.get_num_threads()
+        opened = [_opened(make, stack) for make in makers]
+        torch.set_num_threads(threads)  # TorchRL's ParallelEnv lowered it when it started
+        rates = interleave(opened, plan.rounds, plan.seconds, say)
+        say("profiling")
+        flops, phases = flops_per_frame(loops[0]), profile(loops[0], plan.profiled)
+    results |= _figures(plan, rates, flops)
+    results["profile"] = {
+        "num_envs": plan.training_sizes[0],
+        "phases": [{"stage": stage, "name": name, "seconds": value} for (stage, name), value in phases.items()],
+    }
     results["machine"]["load_after"] = os.getloadavg()[0]
     report.write(results, folder)
     return results
@@ -113,66 +124,27 @@ def _memory(plan: Plan) -> list[dict[str, float]]:
     return rows
 
 
-def _turns(plan: Plan, size: int, scratch: Path, peers: Sequence[Peer], results: dict[str, Any]) -> Rates:
-    """Rates of all that has ``size`` robots: what is compared takes turns, and nothing else is in memory meanwhile."""
-    with ExitStack() as stack:
-        loops = [_loop(plan, size, scratch, learners) for learners in _learners(plan, size)]
-        makers: list[Maker] = [partial(loop.contender, plan.cpus) for loop in loops]
-        makers += _layers(plan, size)
-        if size == plan.training_sizes[0]:
-            makers.append(partial(matrix_products, loops[0], plan.cpus))
-        if size == plan.num_envs:
-            makers += [partial(peer, plan.cpus) for peer in peers]
-        threads = torch.get_num_threads()
-        opened = [_opened(make, stack) for make in makers]
-        torch.set_num_threads(threads)  # TorchRL's ParallelEnv lowered it when it started
-        rates = interleave(opened, plan.rounds, plan.seconds, say)
-        if size == plan.training_sizes[0]:
-            say("profiling")
-            results["profile"] = _profile(plan, loops[0])
-    return rates
+def _loop(plan: Plan, size: int, scratch: Path) -> TrainingLoop:
+    config = TrainConfig(num_envs=size, rollout_steps=plan.steps, compiled=plan.compiled)
+    return TrainingLoop(config, scratch / str(size))
 
 
-def _profile(plan: Plan, loop: TrainingLoop) -> dict[str, Any]:
-    flops, phases = flops_per_frame(loop), profile(loop, plan.profiled)
-    return {
-        "num_envs": loop.config.num_envs,
-        "flops": flops,
-        "phases": [{"stage": stage, "name": name, "seconds": value} for (stage, name), value in phases.items()],
-    }
-
-
-def _learners(plan: Plan, size: int) -> list[int]:
-    """How many learners train that many robots, one run each."""
-    if size not in plan.training_sizes:
-        return []
-    return [1, plan.cpus] if plan.cpus > 1 and size % plan.cpus == 0 else [1]
-
-
-def _loop(plan: Plan, size: int, scratch: Path, learners: int) -> TrainingLoop:
-    config = TrainConfig(num_envs=size, rollout_steps=plan.steps, compiled=plan.compiled, learners=learners)
-    return TrainingLoop(config, scratch / f"{size} {learners}")
-
-
-def _layers(plan: Plan, size: int) -> list[Maker]:
-    """Ours: the lower layers at every size, all of them once and also with fewer threads."""
-    cpus, steps, compiled = plan.cpus, plan.steps, plan.compiled
-    main = size == plan.num_envs
-    fewer = [2**k for k in range(cpus.bit_length()) if 2**k < cpus] if main else []
+def _layers(plan: Plan) -> list[Maker]:
+    """Ours: all layers once, the lower ones at every size and number of threads."""
+    size, cpus, steps, compiled = plan.num_envs, plan.cpus, plan.steps, plan.compiled
+    fewer = [2**k for k in range(cpus.bit_length()) if 2**k < cpus]
     makers: list[Maker] = []
-    for threads in [cpus, *fewer]:
-        makers += [partial(contenders.physics, size, threads), partial(contenders.bare, size, threads, compiled)]
-        makers.append(partial(contenders.free, size, threads, steps, compiled))
-    if not main:
-        return makers
+    for n, threads in [(n, cpus) for n in plan.sizes] + [(size, threads) for threads in fewer]:
+        makers += [partial(contenders.physics, n, threads), partial(contenders.bare, n, threads, compiled=compiled)]
+        makers.append(partial(contenders.free, n, threads, steps=steps, compiled=compiled))
     if compiled:
         makers.append(partial(contenders.bare, size, cpus, name="bare_eager"))
-        makers.append(partial(contenders.free, size, cpus, steps, name="free_eager"))
+        makers.append(partial(contenders.free, size, cpus, steps=steps, name="free_eager"))
     return [
         *makers,
-        partial(contenders.transformed, size, cpus, compiled),
-        partial(contenders.deployed, size, cpus, steps, compiled),
-        partial(contenders.training_policy, size, cpus, steps, compiled),
+        partial(contenders.transformed, size, cpus, compiled=compiled),
+        partial(contenders.deployed, size, cpus, steps=steps, compiled=compiled),
+        partial(contenders.training_policy, size, cpus, steps=steps, compiled=compiled),
     ]
 
 

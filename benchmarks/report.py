@@ -57,9 +57,8 @@ def _head(results: dict[str, Any]) -> str:
         f"# Benchmark\n\n`{results['command']}`, {results['date']}: {machine['processor']}, CPUs for this process: "
         f"{machine['cpus']}, torch threads: {machine['torch_threads']}; load average {before:.1f} before, "
         f"{after:.1f} after. {versions}.\n\n"
-        f"Rates are medians of {plan['rounds']} rounds in which all contenders with as many robots took turns, "
-        f"{plan['seconds']:g} s or more each; ratios are of medians. A step is a robot's control step, 0.02 s. "
-        "Networks are untrained."
+        f"Rates are medians of {plan['rounds']} rounds in which all contenders took turns, {plan['seconds']:g} s or "
+        "more each; ratios are of medians. A step is a robot's control step, 0.02 s. Networks are untrained."
         + " Our envs are compiled (`compiled=True`) where it does not say otherwise; memory is without."
         * plan["compiled"]
     )
@@ -78,13 +77,13 @@ def _training(results: dict[str, Any]) -> str:
     compute, rows = results["compute"], []
     for row in results["training"]:
         rates = (row[name] for name in ("physics", "compute", "bound", "frames_per_second"))
-        rows.append([f"{row['num_envs']}", f"{row['learners']}", *map(_number, rates), _ratio(row["efficiency"])])
+        rows.append([f"{row['num_envs']}", *map(_number, rates), _ratio(row["efficiency"])])
     return (
         "## Training\n\n"
         f"{compute['flops_per_frame'] / 1e6:.2f} MFLOP per frame (rollout policy and learner) at "
         f"{compute['flops_per_second'] / 1e9:.1f} GFLOP/s (`torch.mm` in the shapes of actor and critic, forward and "
         f"backward, {compute['rows']} rows) is the compute limit; the bound is 1/(1/physics + 1/compute).\n\n"
-    ) + table(["N", "learners", "physics limit", "compute limit", "bound", "training frames/s", "efficiency"], rows)
+    ) + table(["N", "physics limit", "compute limit", "bound", "training frames/s", "efficiency"], rows)
 
 
 def _peers(results: dict[str, Any]) -> str:

@@ -53,20 +53,16 @@ def scaling(median: dict[Key, float]) -> list[dict[str, float]]:
 
 
 def training(median: dict[Key, float], flops_per_frame: float) -> list[dict[str, float]]:
-    """For each N that was trained: frames per second, both limits, their bound, and the share of it reached.
-
-    ``training`` is by one learner, ``learners`` by as many as there are threads.
-    """
+    """For each N that was trained: frames per second, both limits, their bound, and the share of it reached."""
     (products,) = (value for key, value in median.items() if key.name == "matrix_products")
     compute, rows = products / flops_per_frame, []
-    for key in sorted(median, key=lambda key: (key.num_envs, key.name == "learners")):
-        if key.name in ("training", "learners"):
+    for key in sorted(median):
+        if key.name == "training":
             physics = median[key._replace(name="physics")]
             limit = bound(physics, compute)
             rows.append(
                 {
                     "num_envs": key.num_envs,
-                    "learners": 1 if key.name == "training" else key.threads,
                     "frames_per_second": median[key],
                     "physics": physics,
                     "compute": compute,

@@ -36,7 +36,7 @@ RECIPE = {
     "steering_emphasis": 4.0,
 }
 """What differs from the default recipe: commands stay near what the bar is about, noise sinks sooner and further, and
-steering, which is learned last, counts more as the run goes on."""
+steering, which is learned last, counts more until it has."""
 
 NOTES = "evaluations.json"
 """In a run's folder."""

@@ -12,7 +12,6 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.stopwatch import Stopwatch
 from benchmarks.timing import Contender, Key
 from torchrl_atr.training import TrainConfig, Trainer
-from torchrl_atr.training.team import torch_threads
 
 
 class TrainingLoop:
@@ -26,25 +25,21 @@ class TrainingLoop:
     def __init__(self, config: TrainConfig, folder: Path) -> None:
         self.config, self.trainer = config, Trainer(config, folder)
         self.learner, self.env = self.trainer.learner, self.trainer.env
-        self.member = self.trainer.member
-        self.collection = self.member.collection
+        self.collection = self.trainer.member.collection
 
     def iterate(self) -> int:
         """What :meth:`Trainer.train` repeats: collect, learn. Returns the frames."""
-        with torch_threads(self.trainer.torch_threads):
-            self.trainer.iterate()
+        self.trainer.iterate()
         return self.config.frames_per_batch
 
     def close(self) -> None:
-        """Ends collector, other learners and env."""
+        """Ends collector and env."""
         self.collection.shutdown()
-        self.member.team.disband()
         self.env.close()
 
     def contender(self, threads: int) -> Contender:
         """For timing."""
-        name = "training" if self.config.learners == 1 else "learners"
-        return Contender(Key(name, self.config.num_envs, threads), self.iterate, self.close)
+        return Contender(Key("training", self.config.num_envs, threads), self.iterate, self.close)
 
 
 def flops_per_frame(loop: TrainingLoop) -> float:

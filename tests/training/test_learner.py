@@ -25,9 +25,16 @@ def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp)
     assert torch.isfinite(learner.networks.backbone.std.raw).all()
 
 
-def test_r1_counts_more_while_the_run_lasts_and_the_terms_stay():
+def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay():
     config = make_config(
-        {"num_envs": 4, "rollout_steps": 2, "num_threads": 1, "minibatches": 1, "steering_emphasis": 5}
+        {
+            "num_envs": 4,
+            "rollout_steps": 2,
+            "num_threads": 1,
+            "minibatches": 1,
+            "steering_emphasis": 5,
+            "anneal_until": 0.8,
+        }
     )
     env = make_env(config)
     learner, rewards = Learner(make_run_networks(config, env), config), []
@@ -36,9 +43,9 @@ def test_r1_counts_more_while_the_run_lasts_and_the_terms_stay():
         batch = env.rollout(2, policy, break_when_any_done=False)
     learner.advantage = lambda data: (rewards.append(data["next", "reward"].clone()), advantage(data))[1]
     plain, steering = batch["next", "reward"].clone(), batch["next", "reward_terms", "steering_command"].clone()
-    for progress in (0.0, 0.25, 1.0):
+    for progress in (0.0, 0.2, 0.8, 0.95):
         learner.anneal(progress)
         learner.update(batch.clone())
-    for seen, count in zip(rewards, (1.0, 2.0, 5.0), strict=True):
+    for seen, count in zip(rewards, (1.0, 2.0, 5.0, 2.0), strict=True):
         torch.testing.assert_close(seen, plain + (count - 1.0) * steering)
     assert torch.equal(batch["next", "reward_terms", "steering_command"], steering)

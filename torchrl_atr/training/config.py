@@ -85,8 +85,9 @@ class TrainConfig:
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
-        steering_emphasis: how often r1 counts in what is learned from at the end of the run; once at its start. What it
-            counts more comes on top of the reward, after the clipping of the profile ``ancestor``.
+        steering_emphasis: how often r1 counts in what is learned from at ``anneal_until`` of the run, rising to it from
+            once and sinking back to once at the end. What it counts more comes on top of the reward, after the clipping
+            of the profile ``ancestor``.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
@@ -82,7 +83,8 @@ class Learner:
         """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ and the weight of r1.
 
         Noise hides which way the board is tilted, and steps that follow a batch's noise unsettle what was learned. A
-        turn is paid late and through more noise than a speed: once speeds are held, r1 may count more.
+        turn is paid late and through more noise than a speed: once speeds are held, r1 may count more, and at the end
+        once again, since what it gained stays and fewer fall.
 
         Args:
             progress: share of the run that is over, in [0, 1].
@@ -92,7 +94,8 @@ class Learner:
         late = min(max(0.0, late), 1.0)
         self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
-        self._emphasis = 1.0 + min(progress, 1.0) * (config.steering_emphasis - 1.0)
+        points = [0.0, config.anneal_until, 1.0]
+        self._emphasis = float(np.interp(progress, points, [1.0, config.steering_emphasis, 1.0]))
         if self._roa_ramp is not None:
             self._roa_ramp.step(progress)
 
