@@ -93,7 +93,7 @@ class Collection:
         }
         if not self.remote:
             return Collector(self.env, self.policy, track_traj_ids=False, return_same_td=True, **_PLAIN, **common)
-        threads = max(1, (config.num_threads or len(os.sched_getaffinity(0))) // config.workers)
+        threads = config.threads_each(config.workers)
         makers = [
             partial(
                 _worker_env,

@@ -187,10 +187,8 @@ class TrainConfig:
             )
         if self.collector not in COLLECTORS:
             raise ConfigError(f"collector={self.collector!r} is unknown; choose one of {', '.join(COLLECTORS)}")
-        if self.collector != "direct" and self.num_envs % self.workers:
-            raise ConfigError(
-                f"num_envs={self.num_envs} cannot be shared evenly by workers={self.workers}; choose a multiple of it"
-            )
+        if self.collector != "direct":
+            self._check_share("workers")
         self._check_learners()
         _check_device(self.device)
         if self.learning_rate > self.max_learning_rate:
@@ -221,10 +219,18 @@ class TrainConfig:
                 f"learners={self.learners} are for collector='direct' and device='cpu', not {self.collector!r} and "
                 f"{self.device!r}; take learners=1, or workers"
             )
-        if self.num_envs % self.learners:
+        self._check_share("learners")
+
+    def _check_share(self, name: str) -> None:
+        processes = getattr(self, name)
+        if self.num_envs % processes:
             raise ConfigError(
-                f"num_envs={self.num_envs} cannot be shared evenly by learners={self.learners}; choose a multiple of it"
+                f"num_envs={self.num_envs} cannot be shared evenly by {name}={processes}; choose a multiple of it"
             )
+
+    def threads_each(self, processes: int) -> int:
+        """Physics threads of each of so many processes that share the CPUs."""
+        return max(1, (self.num_threads or len(os.sched_getaffinity(0))) // processes)
 
     def share(self, rank: int) -> TrainConfig:
         """What one of the learners works with: its part of the robots and of the CPUs, and a seed of its own.
@@ -234,11 +240,10 @@ class TrainConfig:
         """
         if self.learners == 1:
             return self
-        cpus = self.num_threads or len(os.sched_getaffinity(0))
         return dataclasses.replace(
             self,
             num_envs=self.num_envs // self.learners,
-            num_threads=max(1, cpus // self.learners),
+            num_threads=self.threads_each(self.learners),
             seed=(self.seed + SEED_STRIDE * rank) % 2**31,
             learners=1,
         )

@@ -94,6 +94,11 @@ class Member:
         torch.set_rng_state(state["rng"])  # last: building all this drew from it
 
 
+def env_maker(config: TrainConfig, run: Path) -> Callable[..., TransformedEnv]:
+    """Makes envs of a run, in any process; see :func:`~torchrl_atr.training.make_env` for what it takes."""
+    return partial(make_env, config, dump_dir=run.resolve() / DUMPS)
+
+
 def make_member(learner: Learner, env: TransformedEnv, team: Team, run: Path, started: int = 0) -> Member:
     """A member around a learner and an env; workers start.
 
@@ -107,8 +112,7 @@ def make_member(learner: Learner, env: TransformedEnv, team: Team, run: Path, st
     config = learner.config
     policy = learner.networks.rollout_policy(config.act_source, config.student_fraction)
     policy = correlate(policy, config.noise_correlation)
-    maker = partial(make_env, config, dump_dir=run.resolve() / DUMPS)
-    return Member(learner, Collection(config, env, maker, policy, started), team)
+    return Member(learner, Collection(config, env, env_maker(config, run), policy, started), team)
 
 
 def assist(team: Team, config: TrainConfig, run: Path) -> None:
@@ -123,7 +127,7 @@ def assist(team: Team, config: TrainConfig, run: Path) -> None:
     share = config.share(team.rank)
     torch.manual_seed(share.seed)
     with torch_threads(share.num_threads):
-        env = make_env(share, dump_dir=run.resolve() / DUMPS)
+        env = env_maker(share, run)()
         learner = Learner(make_run_networks(share, env), share)
         start = team.share(None)
         learner.load_state_dict(start["learner"])

@@ -13,13 +13,13 @@ import torch
 
 from torchrl_atr._files import say, sweep, write_json
 from torchrl_atr.modules import RidingNetworks, get_estimator
-from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
+from torchrl_atr.training.assembly import import_modules, make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import CollectionError
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.interrupt import Interrupt
 from torchrl_atr.training.learner import Learner
-from torchrl_atr.training.member import DUMPS, Member, assist, make_member
+from torchrl_atr.training.member import DUMPS, Member, assist, env_maker, make_member
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import check_parts, load_networks
@@ -57,7 +57,7 @@ class Trainer:
         torch.manual_seed(config.seed)
         share = config.share(0)
         self.torch_threads = None if config.learners == 1 else share.num_threads
-        self.env = make_env(share, dump_dir=run.resolve() / DUMPS)
+        self.env = env_maker(share, run)()
         self.curriculum = self.env.transform[0]
         networks = make_run_networks(share, self.env)
         if state is not None:
