@@ -102,6 +102,9 @@ class ActorBackbone(nn.Module):
         (torch.Size([7, 2]), torch.Size([7, 2]))
     """
 
+    _gates: Tensor
+    _gated: Tensor
+
     def __init__(
         self,
         observation_norm: RunningNormalizer,
@@ -119,7 +122,9 @@ class ActorBackbone(nn.Module):
         size = observation_norm.shape.numel()
         if any(not 0 <= index < size for pair in products for index in pair):
             raise ValueError(f"products={list(products)} names entries beyond the observation's {size}.")
-        self._gates, self._gated = [i for i, _ in products], [j for _, j in products]
+        pairs = torch.tensor(products, dtype=torch.long).reshape(-1, 2)
+        self.register_buffer("_gates", pairs[:, 0], persistent=False)  # where the input is: lists would be sent there
+        self.register_buffer("_gated", pairs[:, 1], persistent=False)
         basis = torch.eye(action_features) if noise_basis is None else noise_basis
         self.register_buffer("noise_basis", check_basis(basis, action_features))
         # Adam's steps are alike in all outputs. In units of the exploration's variance, a column's share of the

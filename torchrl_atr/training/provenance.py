@@ -10,6 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from torchrl_atr.training.config import TrainConfig
 
 _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
@@ -45,8 +47,11 @@ def machine(device: str = "cpu") -> dict[str, Any]:
         >>> machine()["hardware"]["device"]
         'cpu'
     """
+    hardware = {"processor": _processor(), "cpus": len(os.sched_getaffinity(0)), "device": device}
+    if torch.device(device).type == "cuda":
+        hardware["accelerator"] = torch.cuda.get_device_name(device)
     return {
-        "hardware": {"processor": _processor(), "cpus": len(os.sched_getaffinity(0)), "device": device},
+        "hardware": hardware,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
     }
 
@@ -57,8 +62,11 @@ def cores(hardware: dict[str, Any]) -> str:
     Example:
         >>> cores({"cpus": 2, "processor": "Z80", "device": "cpu"})
         '2 cores (Z80)'
+        >>> cores({"cpus": 16, "processor": "Z80", "device": "cuda", "accelerator": "GPU X"})
+        '16 cores (Z80), GPU X'
     """
-    return f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)} ({hardware['processor']})"
+    where = f"{hardware['cpus']} core{'s' * (hardware['cpus'] > 1)} ({hardware['processor']})"
+    return f"{where}, {hardware['accelerator']}" if "accelerator" in hardware else where
 
 
 def command_line(config: TrainConfig, start: Mapping[str, Any] | None = None) -> str:
