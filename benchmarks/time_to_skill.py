@@ -126,18 +126,39 @@ def table(report: dict[str, Any]) -> str:
         f"`{report['command']}`.",
         "",
         "The bar, deployed, over |c_v| <= 2 m/s and |c_ω| <= 1 rad/s: at least 97% up after 10 s, settled errors of at "
-        f"most 0.30 m/s and 0.25 rad/s. {len(skilled)} of {len(runs)} seeds met it.",
+        f"most 0.30 m/s and 0.25 rad/s. {len(skilled)} of {len(runs)} seeds met it. {_median(runs)}",
         "",
         "| seed | minutes | robot steps | up | speed error, m/s | yaw error, rad/s | met | trained on |",
         "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for run in runs:
         last = run["evaluations"][-1]
-        figures = " | ".join("-" if last[name] is None else f"{last[name]:.3f}" for name in BAR)
-        met = "yes" if run in skilled else "no"
-        where = cores(run["hardware"])
-        lines.append(f"| {run['seed']} | {last['minutes']:.1f} | {last['frames']:,} | {figures} | {met} | {where} |")
+        met, where = "yes" if run in skilled else "no", cores(run["hardware"])
+        lines.append(f"| {run['seed']} | {_evaluation(last)} | {met} | {where} |")
+    lines += [
+        "",
+        "## On the way",
+        "",
+        "| seed | minutes | robot steps | up | speed error, m/s | yaw error, rad/s |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    lines += [f"| {run['seed']} | {_evaluation(each)} |" for run in runs for each in run["evaluations"]]
     return "\n".join([*lines, ""])
+
+
+def _median(runs: Sequence[dict[str, Any]]) -> str:
+    """Minutes and robot steps to the bar of the median seed, where that one met it."""
+    ends = sorted((run["evaluations"][-1] for run in runs), key=lambda end: (not meets(end), end["minutes"]))
+    end = ends[len(ends) // 2]
+    if not meets(end):
+        return "The median seed did not."
+    return f"Median: {end['minutes']:.1f} minutes, {end['frames']:,} robot steps."
+
+
+def _evaluation(figures: Mapping[str, Any]) -> str:
+    """One evaluation's cells."""
+    values = " | ".join("-" if figures[name] is None else f"{figures[name]:.3f}" for name in BAR)
+    return f"{figures['minutes']:.1f} | {figures['frames']:,} | {values}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -42,6 +42,19 @@ def test_a_run_that_meets_the_bar_ends(tmp_path, monkeypatch):
     assert "1 of 1 seeds met it" in (tmp_path / "README.md").read_text()
 
 
+def test_the_median_seed_counts_those_that_never_met_the_bar():
+    def run(minutes, up):
+        figures = {"survival": up, "settled_speed_error": 0.1, "settled_yaw_error": 0.1}
+        return {
+            "seed": 0,
+            "hardware": {},
+            "evaluations": [{"minutes": minutes, "frames": int(minutes * 10), **figures}],
+        }
+
+    assert time_to_skill._median([run(30, 1.0), run(50, 0.9), run(40, 1.0)]) == "Median: 40.0 minutes, 400 robot steps."
+    assert time_to_skill._median([run(30, 1.0), run(50, 0.9), run(50, 0.9)]) == "The median seed did not."
+
+
 def test_a_run_that_was_stopped_goes_on(tmp_path, monkeypatch):
     evaluate, stops = time_to_skill.evaluate, iter([None, KeyboardInterrupt])
 
