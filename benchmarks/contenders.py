@@ -120,7 +120,10 @@ def _collected(
         frames_per_batch=size * steps,
         total_frames=-1,
         exploration_type=ExplorationType.DETERMINISTIC,
-        track_traj_ids=False,  # as in training, like the next
+        policy_device="cpu",  # as in training, like the next four: a collector that is not told asks at every step
+        env_device="cpu",
+        storing_device="cpu",
+        track_traj_ids=False,
         return_same_td=True,
         trust_policy=True,  # a plain function may be a policy
         auto_register_policy_transforms=False,

@@ -204,7 +204,7 @@ def _beats(record: dict[str, Any]) -> bool:
 def main(argv: Sequence[str] | None = None) -> int:
     """Trains, compares and summarises; bad input ends with one message and exit code 2."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.every_pair", description=__doc__)
-    parser.add_argument("--output", type=Path, default=Path("results/pairs"), metavar="FOLDER")
+    parser.add_argument("--output", type=Path, default=Path("runs/pairs"), metavar="FOLDER")
     parser.add_argument("--minutes", type=float, default=10.0, help="of training for each pair")
     parser.add_argument("--pairs", nargs="+", choices=PAIRS, default=PAIRS, metavar="ROBOT:TRANSPORTER")
     parser.add_argument("--seed", type=int, default=0)

@@ -176,9 +176,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _train_all(arguments: argparse.Namespace) -> None:
-    seeds = " ".join(map(str, arguments.seeds))
-    command = f"python -m benchmarks.time_to_skill --minutes {arguments.minutes:g} --every {arguments.every:g} "
-    command += " ".join([f"--seeds {seeds}", *(f"--set {text}" for text in arguments.overrides)])
     configs = {}
     for seed in arguments.seeds:
         values = {**RECIPE, "seed": seed, "max_minutes": arguments.minutes}
@@ -187,8 +184,18 @@ def _train_all(arguments: argparse.Namespace) -> None:
         results.refuse_other_settings(config, folder)
     for folder, config in configs.items():
         train_until(config, folder, arguments.every, arguments.robots_per_command)
-        report = {"command": command, "runs": finished_runs(arguments.runs), "versions": machine()["versions"]}
+        runs = finished_runs(arguments.runs)
+        report = {"command": _command(arguments, runs), "runs": runs, "versions": machine()["versions"]}
         results.write(arguments.output, "time_to_skill", report, table(report))
+
+
+def _command(arguments: argparse.Namespace, runs: Sequence[dict[str, Any]]) -> str:
+    """The one call that makes all of ``runs``, which several may have made."""
+    options = {name: getattr(arguments, name.replace("-", "_")) for name in ("minutes", "every", "robots-per-command")}
+    parts = [f"--{name} {value:g}" for name, value in options.items()]
+    parts.append(f"--seeds {' '.join(str(run['seed']) for run in runs)}")
+    parts += [f"--set {text}" for text in arguments.overrides]
+    return " ".join(["python -m benchmarks.time_to_skill", *parts])
 
 
 if __name__ == "__main__":

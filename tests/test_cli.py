@@ -60,7 +60,7 @@ def test_train_evaluate_resume(tmp_path, capsys):
     assert main(["train", *tiny, "--total-frames", "32", "--output", str(run)]) == 0
     grid = ["--max-speed", "1", "--speed-step", "1", "--max-yaw-rate", "0", "--robots-per-command", "1"]
     assert main(["evaluate", str(run), *grid, "--output", str(report)]) == 0
-    assert "do nothing" in capsys.readouterr().out
+    assert "still board" in capsys.readouterr().out
     metrics = json.loads((report / "metrics.json").read_text())
     assert metrics["n"] == 3
     assert metrics["run"]["frames"] == 32
@@ -114,6 +114,24 @@ def test_an_estimator_of_ones_own_trains_from_the_command_line(tmp_path, monkeyp
     arguments = ["train", *tiny, "--total-frames", "8", "--import", "my_estimators", "--estimator", "mine"]
     assert main([*arguments, "--output", "run"]) == 0
     assert json.loads((tmp_path / "run" / "config.json").read_text())["imports"] == ["my_estimators"]
+
+
+def test_a_transporter_of_ones_own_trains_and_is_evaluated_from_the_command_line(tmp_path, monkeypatch, capsys):
+    (tmp_path / "my_decks.py").write_text(
+        "from dataclasses import replace\n"
+        "from torchrl_atr.envs import TRANSPORTERS\n"
+        "TRANSPORTERS.register('wide', replace(TRANSPORTERS.get('two_board_g1'), name='wide', size=(0.9, 0.9, 0.05)))\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    mine = ["--import", "my_decks"]
+    assert main(["list", "transporters", *mine]) == 0
+    assert "wide" in capsys.readouterr().out
+    assert main(["model", "a1", "wide", *mine, "--output", "scene.xml"]) == 0
+    tiny = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
+    assert main(["train", *tiny, "--total-frames", "8", *mine, "--transporter", "wide", "--output", "run"]) == 0
+    few = ["--max-speed", "1", "--max-yaw-rate", "0.25", "--robots-per-command", "1"]
+    assert main(["evaluate", "run", *few]) == 0
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["evaluation"]["transporter"] == "wide"
 
 
 def test_model_writes_a_scene_that_mujoco_opens(tmp_path):

@@ -1,9 +1,12 @@
-"""A named collection whose look-ups explain themselves."""
+"""A named collection whose look-ups explain themselves, and the user's modules that add to it."""
 
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import importlib
+import os
+import sys
+from collections.abc import Iterable, Sequence
 from typing import Generic, TypeVar
 
 from torchrl_atr._errors import InputError, UserError
@@ -91,3 +94,23 @@ class Registry(Generic[T]):
     def names(self) -> tuple[str, ...]:
         """All names, in the order of registration."""
         return tuple(self._entries)
+
+
+def import_modules(names: Sequence[str]) -> None:
+    """Imports user modules, so that they register what is theirs; the working directory counts, as for ``python -m``.
+
+    Raises:
+        InputError: if one cannot be imported.
+    """
+    for name in names:
+        if name.endswith(".py") or not all(name.split(".")):
+            raise InputError(f"cannot import {name!r}; give a module's name, such as my_module for my_module.py")
+    if names and os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    for name in names:
+        try:
+            importlib.import_module(name)
+        except (ImportError, SyntaxError) as error:
+            raise InputError(
+                f"cannot import {name!r} ({error}); run where it can be found, and imports alone"
+            ) from error

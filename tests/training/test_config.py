@@ -10,9 +10,9 @@ from torchrl_atr.training import ConfigError, TrainConfig, make_config, read_con
 
 
 def test_values_and_overrides_with_the_override_winning():
-    config = make_config({"gamma": 0.9, "num_envs": 8}, ["gamma=0.5", "total_frames=1e6", "imports=a,b"])
+    config = make_config({"gamma": 0.9, "num_envs": 8}, ["gamma=0.5", "total_frames=1e6", "imports=json,math"])
     assert (config.gamma, config.num_envs, config.total_frames) == (0.5, 8, 1_000_000)
-    assert config.imports == ("a", "b")
+    assert config.imports == ("json", "math")
     assert not make_config({}, ["dead_reckoning=false"]).dead_reckoning
 
 

@@ -23,6 +23,7 @@ import pytest
         ("recipe.toml", "dead_reckoning = 1", "dead_reckoning=1", "true or false"),
         ("recipe.toml", "critic_cells = 256", "critic_cells=256", "a list such as"),
         ("recipe.toml", "critic_cells = [256, 'x']", "critic_cells=[256, 'x']", "a list such as"),
+        ("recipe.toml", "critic_cells = [65, 64]", "critic_cells=(65, 64)", "or symmetric=false"),
         ("recipe.toml", "imports = [3]", "imports=[3]", "a list such as my_module"),
         ("recipe.json", '{"robot": null}', "robot=None", "a text such as a1"),
         ("recipe.toml", 'robot = "mine.toml"', "no robot file mine.toml", "check its path"),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, make_folder, say
+from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.parser import DEFAULT_RUN, PLACES, RESUMABLE, SETTINGS, option
 from torchrl_atr.listings import LISTINGS
 
@@ -147,9 +148,9 @@ def _show_steps(done: int, total: int) -> None:
 
 
 def _print_figures(metrics: dict[str, Any]) -> None:
-    """The headline figures, those of a board that stays still beside them."""
+    """The headline figures, those of a board that never moves, from which nobody falls, beside them."""
     still = metrics["do_nothing"]
-    sys.stdout.write(f"{'':32}{'ours':>10}{'do nothing':>14}\n")
+    sys.stdout.write(f"{'':32}{'ours':>10}{'still board':>14}\n")
     for name in _HEADLINES:
         ours, theirs = (f"{value:.3f}" if value is not None else "-" for value in (metrics[name], still[name]))
         sys.stdout.write(f"{name:32}{ours:>10}{theirs:>14}\n")
@@ -174,7 +175,6 @@ def play(arguments: argparse.Namespace) -> None:
 def replay(arguments: argparse.Namespace) -> None:
     """``torchrl-atr replay``."""
     from torchrl_atr.evaluation import replay as replayed
-    from torchrl_atr.training.assembly import import_modules
 
     import_modules(arguments.imports or ())
     sys.stdout.write(f"{'step':>6}{'v, m/s':>10}{'w, rad/s':>10}{'tilt, rad':>11}{'max |qvel|':>12}{'max |a|':>9}\n")
@@ -191,6 +191,7 @@ def write_model(arguments: argparse.Namespace) -> None:
     from torchrl_atr.envs import Readings, get_robot, get_transporter
     from torchrl_atr.envs.models import scene_spec
 
+    import_modules(arguments.imports or ())
     robot = get_robot(arguments.robot)
     spec = scene_spec(robot, get_transporter(arguments.transporter, robot), Readings())
     with atomic(arguments.output) as file:
@@ -213,6 +214,7 @@ def bench(arguments: argparse.Namespace) -> None:
 
 def show_list(arguments: argparse.Namespace) -> None:
     """``torchrl-atr list``."""
+    import_modules(arguments.imports or ())
     say("\n".join(LISTINGS[arguments.what]()))
 
 

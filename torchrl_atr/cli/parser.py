@@ -81,7 +81,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
     replay.add_argument("dump", type=_path)
-    replay.add_argument("--import", dest="imports", action="append", metavar="MODULE", help="import it first")
+    _add_import(replay)
     replay.add_argument("--video", type=_path, help="write an .mp4 or .gif, slowed down ten times")
     _add_bench(commands.add_parser("bench", help="measure speed against limits and peers (from a clone)"))
     model = commands.add_parser("model", help="write a robot on its transporter as one MJCF file")
@@ -90,8 +90,10 @@ def build_parser() -> argparse.ArgumentParser:
     model.add_argument(
         "--output", type=_path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer"
     )
+    _add_import(model)
     listing = commands.add_parser("list", help="list what is registered")
     listing.add_argument("what", choices=sorted(LISTINGS))
+    _add_import(listing)
     for command in commands.choices.values():
         command.set_defaults(parser=command)
     return parser
@@ -103,7 +105,7 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--transporter")
     parser.add_argument("--profile", help="how the paper's open points are read")
     parser.add_argument("--estimator", help="a registered estimator")
-    parser.add_argument("--import", dest="imports", action="append", metavar="MODULE", help="import it first")
+    _add_import(parser)
     parser.add_argument("--num-envs", metavar="N")
     parser.add_argument("--total-frames", metavar="N", help="robot steps, absolute")
     parser.add_argument("--max-minutes", metavar="MINUTES", help="wall clock, earlier sessions of the run included")
@@ -121,6 +123,11 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", type=_run, metavar="RUN", help="go on with this run as if it had not stopped")
     begin_text = "begin a new run with this one's networks, command grid and settings, those given here excepted"
     parser.add_argument("--from", dest="start", type=_run, metavar="RUN", help=begin_text)
+
+
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    text = "import it first: it may register robots, transporters and estimators of yours"
+    parser.add_argument("--import", dest="imports", action="append", metavar="MODULE", help=text)
 
 
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:

@@ -3,7 +3,9 @@
 from torchrl_atr.envs.factory import make_riding_env
 from torchrl_atr.envs.models import (
     ROBOTS,
+    SINGLE_BOARD,
     TRANSPORTERS,
+    TWO_BOARD,
     RobotError,
     RobotSpec,
     TransporterError,
@@ -19,7 +21,9 @@ from torchrl_atr.envs.riding import RidingEnv
 __all__ = [
     "PROFILES",
     "ROBOTS",
+    "SINGLE_BOARD",
     "TRANSPORTERS",
+    "TWO_BOARD",
     "Readings",
     "RidingEnv",
     "RobotError",

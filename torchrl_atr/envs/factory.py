@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import inspect
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from torchrl.envs import TransformedEnv
 
+from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.riding import PhysicsEngine, RidingEnv
 from torchrl_atr.envs.task.randomization import Randomization
 from torchrl_atr.envs.task.rewards import MAX_TRACKING, TERMINATION, reward_scale
-from torchrl_atr.envs.transforms import CommandGrid, riding_transforms
+from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, riding_transforms
 
 
 def make_riding_env(
@@ -65,11 +68,15 @@ def make_riding_env(
     Returns:
         The transformed env; ``env.transform[0]`` is the curriculum.
 
+    Raises:
+        TypeError: for an argument that neither this function nor the curriculum has.
+
     Example:
         >>> env = make_riding_env(num_envs=2, seed=0)
         >>> env.rollout(2)["history"].shape
         torch.Size([2, 2, 10, 46])
     """
+    _check_arguments(curriculum)
     env = RidingEnv(
         robot,
         transporter,
@@ -101,3 +108,10 @@ def make_riding_env(
         **curriculum,
     )
     return TransformedEnv(env, transforms)
+
+
+def _check_arguments(curriculum: Mapping[str, Any]) -> None:
+    ours, theirs = (inspect.signature(f).parameters for f in (make_riding_env, CommandCurriculum))
+    for name in curriculum:
+        if name not in theirs:
+            raise TypeError(f"make_riding_env() has no argument {name!r}; {nearest(name, {**ours, **theirs})}")

@@ -21,7 +21,7 @@ from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
 from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task import rewards
 from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
-from torchrl_atr.envs.task.guard import not_finite
+from torchrl_atr.envs.task.guard import all_finite, not_finite
 from torchrl_atr.envs.task.symmetry import reflections
 
 _LOGGED = 20
@@ -149,6 +149,19 @@ class RidingEnv(EnvBase):
         """By key the matrix R, (D, D), that makes an entry's mirror image R x; the action's too."""
         return reflections(self.scene, self.readings)
 
+    def to(self, device: torch.device | str | int) -> RidingEnv:
+        """The env itself, on the CPU.
+
+        Raises:
+            InputError: for another device.
+        """
+        if torch.device(device).type != "cpu":
+            raise InputError(
+                f"RidingEnv simulates on the CPU, not on {device}; give the collector env_device='cpu' and "
+                f"policy_device={str(device)!r}"
+            )
+        return super().to(device)
+
     def _make_specs(self) -> None:
         n = self.batch_size[0]
 
@@ -225,7 +238,7 @@ class RidingEnv(EnvBase):
             return torch.zeros(shape)
         if command.shape != torch.Size(shape):
             raise ValueError(f"'command' has shape {tuple(command.shape)}; this env needs {shape}: (c_v, c_omega)")
-        if not torch.isfinite(command).all():
+        if not all_finite([command]):
             bad = (~torch.isfinite(command)).any(-1).nonzero().squeeze(-1).tolist()
             raise ValueError(f"'command' is not finite for env ids {bad[:8]}; give m/s and rad/s")
         return command.to(torch.float32)

@@ -66,8 +66,10 @@ def load(
 class SuiteTask(control.Task):
     """Hands dm_control's calls on to the one task that ``RidingEnv`` drives as well.
 
-    Observations are flat float32 arrays: ``proprio``, ``command``, ``observation`` (the two joined),
-    ``privileged_intrinsic`` and ``privileged_extrinsic``. Early termination has discount 0.
+    Observations are flat float32 arrays: ``proprio``, ``command``, ``observation`` (the two joined), ``odometry``;
+    and, not for a policy, ``speeds``, ``privileged_intrinsic``, ``privileged_extrinsic`` and ``privileged_outlook``.
+    Early termination has discount 0. Actions are bounded by what the joints' control ranges let through, to which
+    ``RidingEnv`` clips instead.
 
     Args:
         core: the task over a :class:`~torchrl_atr.envs.physics.dmc.DmControlEngine`.

@@ -56,7 +56,7 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
 
 
 def do_nothing(result: TrackingResult) -> TrackingResult:
-    """The same evaluation for a board that stays still: every error is the command, and nobody falls."""
+    """The same for a board that never moves: every error is the command, and nobody falls, by definition."""
     shape = result.fall_time.shape
     speed = np.broadcast_to(np.abs(result.speed_commands)[:, None, None], shape)
     yaw = np.broadcast_to(np.abs(result.yaw_commands)[None, :, None], shape)

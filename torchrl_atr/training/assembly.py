@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import importlib
-import os
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from torchrl.envs import TransformedEnv
 
+from torchrl_atr._registry import import_modules
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.modules import NetworkKeys, RidingNetworks, leg_synergies, make_networks
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
-from torchrl_atr.training.config import ConfigError, TrainConfig
+from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.restoring import load_networks, run_config
 
 _TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": False}
@@ -39,6 +36,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         config: of a run.
         **overrides: arguments of :func:`torchrl_atr.envs.make_riding_env` to replace.
     """
+    import_modules(config.imports)  # a config that was sent to another process was checked in the first alone
     arguments: dict[str, Any] = {
         "robot": config.robot,
         "transporter": config.transporter,
@@ -59,26 +57,6 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "grid": config.grid,
     }
     return make_riding_env(**{**arguments, **overrides})
-
-
-def import_modules(names: Sequence[str]) -> None:
-    """Imports user modules, so that they register their estimators; the working directory counts, as for ``python -m``.
-
-    Raises:
-        ConfigError: if one cannot be imported.
-    """
-    for name in names:
-        if name.endswith(".py") or not all(name.split(".")):
-            raise ConfigError(f"cannot import {name!r}; give a module's name, such as my_module for my_module.py")
-    if names and os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
-    for name in names:
-        try:
-            importlib.import_module(name)
-        except (ImportError, SyntaxError) as error:
-            raise ConfigError(
-                f"cannot import {name!r} ({error}); run where it can be found, and imports alone"
-            ) from error
 
 
 def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
@@ -106,7 +84,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
 
 
 def load_run(
-    run: Path, checkpoint: str | None = None, **env_overrides: Any
+    run: str | Path, checkpoint: str | None = None, **env_overrides: Any
 ) -> tuple[TrainConfig, TransformedEnv, RidingNetworks, dict[str, Any]]:
     """Config, env, trained networks and the whole checkpoint of a run folder.
 
@@ -118,11 +96,11 @@ def load_run(
     Raises:
         CheckpointError: if there is no readable checkpoint, or it does not fit this code.
     """
+    run = Path(run)
     if checkpoint is not None and not (run / checkpoint).is_file():
         raise CheckpointError(f"{run} has no {checkpoint}; train for longer, or take the last checkpoint")
     state = load_checkpoint(run if checkpoint is None else run / checkpoint)
     config = run_config(state, run, device="cpu")  # wherever it was trained
-    import_modules(config.imports)
     env = make_env(config, **{**_TO_LOOK_AT, **env_overrides})
     own = env
     if "transporter" in env_overrides:  # networks keep the symmetry of what they were trained on, wherever they ride

@@ -63,7 +63,7 @@ def _name_too(source: Path, target: Path) -> None:
             shutil.copyfile(source, temporary)
 
 
-def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
+def load_checkpoint(path: str | Path, device: str = "cpu") -> dict[str, Any]:
     """Reads a checkpoint; of a run folder whose last one is damaged or gone, the one before.
 
     Args:
@@ -73,6 +73,7 @@ def load_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     Raises:
         CheckpointError: if it is missing, truncated, or of another version.
     """
+    path = Path(path)
     if path.is_dir():
         try:
             return load_checkpoint(path / NAME, device)

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 
 from torchrl_atr._errors import UserError
+from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models import get_robot, get_transporter
 from torchrl_atr.envs.models.robot_file import is_robot_file
 from torchrl_atr.envs.profiles import PROFILES
@@ -40,7 +41,7 @@ class TrainConfig:
         transporter: ``single_board`` or ``two_board`` in the robot's size, or another registered name.
         profile: name from the registry.
         estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
-        imports: modules imported first, so that they can register estimators of their own.
+        imports: modules imported first, so that they can register estimators, robots and transporters of their own.
         num_envs: robots simulated at once.
         rollout_steps: control steps per robot and iteration.
         total_frames: robot steps after which training ends.
@@ -85,9 +86,9 @@ class TrainConfig:
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
-        steering_emphasis: how often r1 counts in what is learned from at ``anneal_until`` of the run, rising to it from
-            once and sinking back to once at the end. What it counts more comes on top of the reward, after the clipping
-            of the profile ``ancestor``.
+        steering_emphasis: weight of r1 in what is learned from, at its peak: it rises from 1 until ``anneal_until``
+            of the run and sinks back to 1 at the end (where ``anneal_until`` is 1, it only rises); 1 leaves the rewards
+            alone. What it adds is not part of what the profile ``ancestor`` clips.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).
@@ -163,12 +164,15 @@ class TrainConfig:
     checkpoint_seconds: float = 60.0
 
     def __post_init__(self) -> None:
+        import_modules(self.imports)  # first: they register the names below
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
             if not isinstance(value, int | float) or not low <= value <= high or math.isnan(value):
                 raise ConfigError(f"{name}={value!r} is out of range; choose a number in [{low:.10g}, {high:.10g}]")
         if not self.critic_cells or min(self.critic_cells) < 1:
             raise ConfigError(f"critic_cells={self.critic_cells} must be widths of 1 or more, such as 256,128,64")
+        if self.symmetric and any(cells % 2 for cells in self.critic_cells):
+            raise ConfigError(f"critic_cells={self.critic_cells} must be even, half for each side; or symmetric=false")
         get_transporter(self.transporter, get_robot(self.robot))
         if is_robot_file(self.robot):  # the run must find it from wherever it is evaluated
             object.__setattr__(self, "robot", str(Path(self.robot).resolve()))

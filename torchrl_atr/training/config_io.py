@@ -48,12 +48,13 @@ def _unknown(name: str, value: Any, known: Iterable[str]) -> str:
     return f"unknown setting {name!r}; {nearest(name, known, '`torchrl-atr list settings` shows all')}"
 
 
-def read_config(path: Path) -> dict[str, Any]:
+def read_config(path: str | Path) -> dict[str, Any]:
     """Field values from a ``.toml`` or ``.json`` file.
 
     Raises:
         ConfigError: if it is missing, of another kind, or malformed.
     """
+    path = Path(path)
     parse = {".toml": tomllib.loads, ".json": json.loads}.get(path.suffix)
     if parse is None:
         raise ConfigError(f"{path}: use a .toml or .json file")

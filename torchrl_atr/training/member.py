@@ -14,7 +14,7 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_atr.envs.task.rewards import MAX_TRACKING, reward_scale
 from torchrl_atr.modules import correlate
-from torchrl_atr.training.assembly import import_modules, make_env, make_run_networks
+from torchrl_atr.training.assembly import make_env, make_run_networks
 from torchrl_atr.training.collection import Collection
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.learner import Learner
@@ -123,7 +123,6 @@ def assist(team: Team, config: TrainConfig, run: Path) -> None:
         config: of the run.
         run: the run folder.
     """
-    import_modules(config.imports)
     share = config.share(team.rank)
     torch.manual_seed(share.seed)
     with torch_threads(share.num_threads):

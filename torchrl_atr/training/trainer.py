@@ -13,7 +13,7 @@ import torch
 
 from torchrl_atr._files import say, sweep, write_json
 from torchrl_atr.modules import RidingNetworks, get_estimator
-from torchrl_atr.training.assembly import import_modules, make_run_networks
+from torchrl_atr.training.assembly import make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import CollectionError
 from torchrl_atr.training.config import ConfigError, TrainConfig
@@ -35,8 +35,8 @@ class Trainer:
     Args:
         config: the recipe.
         run: folder for config, checkpoint, logs; made if missing.
-        state: a checkpoint to go on from. With ``collector="direct"``, the same threads and no time limit, the run goes
-            on bit for bit as if it had not stopped.
+        state: a checkpoint to go on from. With ``collector="direct"`` on the CPU, not compiled, with the same threads
+            and no time limit, the run goes on bit for bit as if it had not stopped.
         start: folder of another run, whose networks and command grid a new one begins with; all else begins anew.
 
     Attributes:
@@ -48,12 +48,15 @@ class Trainer:
     """
 
     def __init__(
-        self, config: TrainConfig, run: Path, state: dict[str, Any] | None = None, start: Path | None = None
+        self,
+        config: TrainConfig,
+        run: str | Path,
+        state: dict[str, Any] | None = None,
+        start: str | Path | None = None,
     ) -> None:
-        self.config, self.run = config, run
-        import_modules(config.imports)
+        self.config, self.run = config, (run := Path(run))
         get_estimator(config.estimator)
-        other = None if start is None else _read_other(start, run)
+        other = None if start is None else _read_other(Path(start), run)
         torch.manual_seed(config.seed)
         share = config.share(0)
         self.torch_threads = None if config.learners == 1 else share.num_threads

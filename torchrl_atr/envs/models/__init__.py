@@ -6,7 +6,9 @@ from torchrl_atr.envs.models.robot_file import get_robot, read_robot
 from torchrl_atr.envs.models.scene import Layout, Scene, build_scene, scene_spec
 from torchrl_atr.envs.models.transporter import (
     DESIGNS,
+    SINGLE_BOARD,
     TRANSPORTERS,
+    TWO_BOARD,
     TransporterError,
     TransporterSpec,
     get_transporter,
@@ -16,7 +18,9 @@ __all__ = [
     "DESIGNS",
     "LEGS",
     "ROBOTS",
+    "SINGLE_BOARD",
     "TRANSPORTERS",
+    "TWO_BOARD",
     "Layout",
     "RobotError",
     "RobotSpec",

@@ -15,6 +15,7 @@ from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
 from torchrl_atr.envs.profiles import Readings
 
 _STATE = mujoco.mjtStage.mjSTAGE_NONE
+_NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
 
 class BatchEngine(Engine):
@@ -42,11 +43,20 @@ class BatchEngine(Engine):
         self.time, self.warmstart = bind("time"), bind("qacc_warmstart")
         self.sensordata, self.actuator_force = bind("sensordata"), bind("actuator_force")
         self.fields = {name: expand(name) for name in RANDOMIZED_FIELDS}
+        self._disabled = expand("opt.disableflags")
 
-    def _substep(self) -> None:
+    def _substep(self, last: bool) -> None:
+        self._sense(last)  # sensors are a fourteenth of a step, and nobody reads those of the first ones
         # a simulation that fails keeps its state and time, which marks it as diverged, while the others go on
         with contextlib.suppress(mujoco.batch.SimulationError):
             self.batch.step(nstep=1)
+
+    def _sense(self, wanted: bool) -> None:
+        """Has MuJoCo compute sensors from here on, or not."""
+        if wanted:
+            self._disabled &= ~_NO_SENSORS
+        else:
+            self._disabled |= _NO_SENSORS
 
     def _warnings(self) -> NDArray[np.int64]:
         return self.batch.warning[:, :, 1]
@@ -55,6 +65,7 @@ class BatchEngine(Engine):
         self.batch.set_const(rows)
 
     def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
+        self._sense(True)  # an interrupt may have left them off
         self.batch.reset(rows, keyframe=0, stage=_STATE)
         self.qpos[rows] = qpos
         self.qvel[rows] = qvel
@@ -62,4 +73,5 @@ class BatchEngine(Engine):
 
     def forward(self) -> None:
         """See :class:`Engine`."""
+        self._sense(True)
         self.batch.forward()

@@ -88,7 +88,7 @@ class DmControlEngine(Engine):
         super().advance(substeps)
         mujoco.mj_step1(self._model, self._data)
 
-    def _substep(self) -> None:
+    def _substep(self, last: bool) -> None:
         mujoco.mj_step(self._model, self._data)
         self.sensordata[0] = self._data.sensordata
 

@@ -100,6 +100,7 @@ class Engine(ABC):
         self.num_envs = num_envs
         self.law = DriveLaw(scene.transporter, readings)
         self._tilt, self._planar = columns(scene.layout.tilt_qpos), columns(scene.layout.planar_dof)
+        self._place = columns(scene.layout.planar_qpos[:2])
         self._heading = int(scene.layout.planar_qpos[2])
         self.speeds = np.zeros((num_envs, 2))
         self.odometer = np.zeros((num_envs, 2))
@@ -110,8 +111,8 @@ class Engine(ABC):
         self._refresh_deck(np.arange(num_envs), self._deck_mass)
 
     @abstractmethod
-    def _substep(self) -> None:
-        """One simulation step; what it derives is of the state it began with."""
+    def _substep(self, last: bool) -> None:
+        """One simulation step; what it derives is of the state it began with. Sensors are read after the ``last``."""
 
     @abstractmethod
     def _warnings(self) -> NDArray[np.int64]:
@@ -146,9 +147,9 @@ class Engine(ABC):
     def advance(self, substeps: int) -> None:
         """``substeps`` x (law, planar force, simulation step); notes which simulations diverged."""
         warned, expected = self._warnings()[:, _DIVERGED].copy(), self.time + substeps * TIMESTEP
-        for _ in range(substeps):
+        for number in range(1, substeps + 1):
             self.prescribe()
-            self._substep()
+            self._substep(last=number == substeps)
         # MuJoCo's own reset also zeroes the counts: a second divergence in a row shows in the time alone
         warned_anew = (self._warnings()[:, _DIVERGED] > warned).any(axis=1)
         self.diverged = np.asarray(warned_anew | (np.abs(self.time - expected) > 0.5 * TIMESTEP))
@@ -212,12 +213,11 @@ class Engine(ABC):
 
     def _recentre(self) -> None:
         """Moves deck and robot back to the origin: physics is translation invariant, floats are not."""
-        layout = self.scene.layout
-        planar = layout.planar_qpos[:2]
-        offset = self.qpos[:, planar].copy()
+        root = self.scene.layout.root_qpos
+        offset = self.qpos[:, self._place].copy()
         self.odometer += offset
-        self.qpos[:, planar] -= offset
-        self.qpos[:, layout.root_qpos : layout.root_qpos + 2] -= offset
+        self.qpos[:, self._place] -= offset
+        self.qpos[:, root : root + 2] -= offset
 
     @property
     def live_state(self) -> dict[str, Array]:

@@ -162,7 +162,7 @@ class RidingTask:
         if action.shape != self.previous_action.shape:
             needed = tuple(self.previous_action.shape)
             raise ValueError(f"'action' has shape {tuple(action.shape)}; this env needs {needed}: one value per joint")
-        if not torch.isfinite(action).all():
+        if not all_finite([action]):
             bad = (~torch.isfinite(action)).any(-1).nonzero().squeeze(-1).tolist()
             raise InputError(f"'action' is not finite for env ids {bad[:8]}; check the policy that wrote it")
         self._push()
@@ -261,9 +261,10 @@ class RidingTask:
 
     def _push(self) -> None:
         if self.pushes:
-            due = (self.steps > 0) & (self.steps % self._push_every == 0)
-            if due.any():
-                disturbances.push(self.engine, due.nonzero().squeeze(-1).numpy(), self.rng)
+            steps = self.steps.numpy()
+            due = np.flatnonzero((steps % self._push_every == 0) & (steps > 0))
+            if len(due):
+                disturbances.push(self.engine, due, self.rng)
 
     def get_state(self) -> dict[str, Tensor]:
         """Simulation state (float64) and bookkeeping, copied."""
