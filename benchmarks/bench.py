@@ -20,6 +20,7 @@ from benchmarks.memory import peak_memory
 from benchmarks.peers import available
 from benchmarks.timing import Contender, Key, Rates, interleave, medians
 from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
+from torchrl_atr._cpus import available_cpus
 from torchrl_atr._files import say
 from torchrl_atr.envs.task.compilation import compiler
 from torchrl_atr.training import TrainConfig
@@ -81,7 +82,7 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
         What ``bench.json`` holds.
     """
     folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found before, not after
-    cpus, compiled = plan.cpus or len(os.sched_getaffinity(0)), plan.compiled and compiler() is not None
+    cpus, compiled = plan.cpus or available_cpus(), plan.compiled and compiler() is not None
     torch._dynamo.config.recompile_limit = 64  # each number of threads is one
     plan = dataclasses.replace(plan, cpus=cpus, compiled=compiled)
     results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}

@@ -381,13 +381,9 @@ def test_renamed_keys(spec, make_loss, make_batch):
     )
     other.load_state_dict(state)
     other.set_keys(
-        latent=keys.latent,
-        latent_estimate=keys.intrinsic_estimate,
-        extrinsic=keys.extrinsic,
-        extrinsic_estimate=keys.extrinsic_estimate,
+        **keys.for_loss(),
         advantage=("gae", "adv"),
         value_target=("gae", "target"),
-        value=keys.state_value,
         sample_log_prob=("agent", "lp"),
     )
     assert {keys.history, keys.extrinsic, keys.intrinsic} <= set(other.in_keys)

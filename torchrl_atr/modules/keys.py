@@ -33,3 +33,19 @@ class NetworkKeys:
     student: NestedKey = ("act", "student")
     action: NestedKey = "action"
     state_value: NestedKey = "state_value"
+
+    def for_loss(self) -> dict[str, NestedKey]:
+        """The same entries by the names that ``ROAClipPPOLoss.set_keys`` has for them.
+
+        Examples:
+            >>> NetworkKeys(extrinsic="truth").for_loss()["extrinsic"]
+            'truth'
+        """
+        return {
+            "latent": self.latent,
+            "latent_estimate": self.intrinsic_estimate,
+            "extrinsic": self.extrinsic,
+            "extrinsic_estimate": self.extrinsic_estimate,
+            "action": self.action,
+            "value": self.state_value,
+        }

@@ -5,13 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from torchrl_atr._cpus import available_cpus
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models import get_robot, get_transporter
@@ -234,7 +234,7 @@ class TrainConfig:
 
     def threads_each(self, processes: int) -> int:
         """Physics threads of each of so many processes that share the CPUs."""
-        return max(1, (self.num_threads or len(os.sched_getaffinity(0))) // processes)
+        return max(1, (self.num_threads or available_cpus()) // processes)
 
     def share(self, rank: int) -> TrainConfig:
         """What one of the learners works with: its part of the robots and of the CPUs, and a seed of its own.

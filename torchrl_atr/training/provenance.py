@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import shlex
 from collections.abc import Mapping
@@ -12,6 +11,7 @@ from typing import Any
 
 import torch
 
+from torchrl_atr._cpus import available_cpus
 from torchrl_atr.training.config import TrainConfig
 
 _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
@@ -47,7 +47,7 @@ def machine(device: str = "cpu") -> dict[str, Any]:
         >>> machine()["hardware"]["device"]
         'cpu'
     """
-    hardware = {"processor": _processor(), "cpus": len(os.sched_getaffinity(0)), "device": device}
+    hardware = {"processor": _processor(), "cpus": available_cpus(), "device": device}
     if torch.device(device).type == "cuda":
         hardware["accelerator"] = torch.cuda.get_device_name(device)
     return {

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import os
 
 import mujoco
 import mujoco.batch
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_atr._cpus import available_cpus
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
 from torchrl_atr.envs.profiles import Readings
@@ -33,7 +33,7 @@ class BatchEngine(Engine):
 
     def __init__(self, scene: Scene, num_envs: int, readings: Readings, num_threads: int | None = None) -> None:
         super().__init__(scene, num_envs, readings)
-        threads = len(os.sched_getaffinity(0)) if num_threads is None else num_threads
+        threads = available_cpus() if num_threads is None else num_threads
         if threads < 1:
             raise ValueError(f"num_threads={num_threads}: choose 1 or more, or None for the CPUs this process may use")
         self.batch = mujoco.batch.Batch(scene.model, num_envs, nthread=threads)
