@@ -64,3 +64,18 @@ def test_the_same_seed_gives_the_same_ride():
         torch.manual_seed(0)
         rides.append(small(seed=4).rollout(5))
     assert torch.equal(rides[0]["next", "observation"], rides[1]["next", "observation"])
+
+
+def test_an_argument_that_nothing_has_is_named():
+    with pytest.raises(TypeError, match=r"make_riding_env\(\) has no argument 'windows'; did you mean 'window'\?"):
+        make_riding_env(num_envs=1, windows=3)
+    env = make_riding_env(num_envs=1, score_from=3)  # one of the curriculum's
+    assert env.transform[0].score_from == 3
+
+
+def test_it_does_not_leave_the_cpu():
+    env = make_riding_env(num_envs=1)
+    with pytest.raises(ValueError, match="simulates on the CPU, not on cuda; give the collector env_device='cpu'"):
+        env.to("cuda")  # needs none: it is refused before anything moves
+    assert env.to("cpu") is env
+    assert env.rollout(2)["action"].device.type == "cpu"

@@ -284,3 +284,24 @@ def test_set_state_names_what_is_wrong(name):
         env.engine.set_state({key: value for key, value in state.items() if key != "warmstart"})
     with pytest.raises(ValueError, match="qvel"):
         env.engine.set_state({**state, "qvel": state["qvel"][:, 1:]})
+
+
+def test_sensors_are_those_of_the_last_substep_and_of_no_other():
+    """Only what is read is computed; an interrupt between substeps must not leave them off."""
+    scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
+    one, other = BatchEngine(scene, 2, Readings(), 1), BatchEngine(scene, 2, Readings(), 1)
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        targets = np.array(scene.robot.q0) + 0.2 * rng.standard_normal((2, 12))
+        one.step(targets)
+        other.command(targets)
+        for _ in range(DECIMATION):
+            other.advance(1)  # each is the last
+        np.testing.assert_array_equal(one.sensordata, other.sensordata)
+        np.testing.assert_array_equal(one.qpos, other.qpos)
+    one.prescribe()
+    one._substep(last=False)
+    one.forward()
+    other.advance(1)
+    other.forward()
+    np.testing.assert_array_equal(one.sensordata, other.sensordata)
