@@ -37,8 +37,8 @@ RECIPE = {
     "final_std": 0.08,
     "steering_emphasis": 3.0,
 }
-"""What differs from the default recipe: commands stay near what the bar is about, more robots start from rest, where most
-of those that fall do, and steering, which is learned last, counts more until it has."""
+"""What differs from the default recipe: commands stay near what the bar is about, more robots start from rest, where
+most falls are, and steering, which is learned last, counts more until it has."""
 
 NOTES = "evaluations.json"
 """In a run's folder."""
