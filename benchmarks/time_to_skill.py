@@ -90,8 +90,10 @@ def train_until(config: TrainConfig, folder: Path, every: float, robots_per_comm
     notes = folder / NOTES
     state = load_checkpoint(folder) if (folder / NAME).exists() else None
     tried: list[dict[str, Any]] = json.loads(notes.read_text()) if state is not None and notes.exists() else []
+    if tried and meets(tried[-1]):
+        return tried
     trainer = Trainer(config, folder, state)
-    if tried and (meets(tried[-1]) or trainer.finished):
+    if tried and trainer.finished:
         return tried
 
     def check(metrics: dict[str, float]) -> bool:

@@ -10,6 +10,8 @@ import pytest
 from torchrl_atr import evaluation
 from torchrl_atr.cli import main
 
+TINY = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
+
 
 @pytest.mark.parametrize(
     ("what", "expected"),
@@ -73,8 +75,7 @@ def test_train_evaluate_resume(tmp_path, capsys):
 
 def test_a_policy_rides_another_transporter_by_name(tmp_path, capsys, monkeypatch):
     run, report = tmp_path / "run", tmp_path / "report"
-    tiny = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
-    assert main(["train", *tiny, "--total-frames", "8", "--output", str(run)]) == 0
+    assert main(["train", *TINY, "--total-frames", "8", "--output", str(run)]) == 0
     grid = ["--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
     asked = ["evaluate", str(run), *grid, "--transporter", "two_board"]
     for output in ([], ["--output", str(run)]):
@@ -110,8 +111,7 @@ def test_an_estimator_of_ones_own_trains_from_the_command_line(tmp_path, monkeyp
         "from torchrl_atr.modules import MLPEstimator, register_estimator\nregister_estimator('mine', MLPEstimator)\n"
     )
     monkeypatch.chdir(tmp_path)
-    tiny = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
-    arguments = ["train", *tiny, "--total-frames", "8", "--import", "my_estimators", "--estimator", "mine"]
+    arguments = ["train", *TINY, "--total-frames", "8", "--import", "my_estimators", "--estimator", "mine"]
     assert main([*arguments, "--output", "run"]) == 0
     assert json.loads((tmp_path / "run" / "config.json").read_text())["imports"] == ["my_estimators"]
 
@@ -127,8 +127,7 @@ def test_a_transporter_of_ones_own_trains_and_is_evaluated_from_the_command_line
     assert main(["list", "transporters", *mine]) == 0
     assert "wide" in capsys.readouterr().out
     assert main(["model", "a1", "wide", *mine, "--output", "scene.xml"]) == 0
-    tiny = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
-    assert main(["train", *tiny, "--total-frames", "8", *mine, "--transporter", "wide", "--output", "run"]) == 0
+    assert main(["train", *TINY, "--total-frames", "8", *mine, "--transporter", "wide", "--output", "run"]) == 0
     few = ["--max-speed", "1", "--max-yaw-rate", "0.25", "--robots-per-command", "1"]
     assert main(["evaluate", "run", *few]) == 0
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["evaluation"]["transporter"] == "wide"

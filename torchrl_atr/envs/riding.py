@@ -21,7 +21,7 @@ from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
 from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task import rewards
 from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
-from torchrl_atr.envs.task.guard import all_finite, not_finite
+from torchrl_atr.envs.task.guard import bad_rows, not_finite
 from torchrl_atr.envs.task.symmetry import reflections
 
 _LOGGED = 20
@@ -238,8 +238,7 @@ class RidingEnv(EnvBase):
             return torch.zeros(shape)
         if command.shape != torch.Size(shape):
             raise ValueError(f"'command' has shape {tuple(command.shape)}; this env needs {shape}: (c_v, c_omega)")
-        if not all_finite([command]):
-            bad = (~torch.isfinite(command)).any(-1).nonzero().squeeze(-1).tolist()
+        if bad := bad_rows(command):
             raise ValueError(f"'command' is not finite for env ids {bad[:8]}; give m/s and rad/s")
         return command.to(torch.float32)
 

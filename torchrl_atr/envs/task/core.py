@@ -16,7 +16,7 @@ from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task import disturbances, observations, rewards
 from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task.compilation import compile_step
-from torchrl_atr.envs.task.guard import all_finite
+from torchrl_atr.envs.task.guard import all_finite, bad_rows
 from torchrl_atr.envs.task.outlook import outlook
 from torchrl_atr.envs.task.rotations import rotate_back
 from torchrl_atr.envs.task.state import CONTROL_DT, Readout, RidingState, StateReader
@@ -162,8 +162,7 @@ class RidingTask:
         if action.shape != self.previous_action.shape:
             needed = tuple(self.previous_action.shape)
             raise ValueError(f"'action' has shape {tuple(action.shape)}; this env needs {needed}: one value per joint")
-        if not all_finite([action]):
-            bad = (~torch.isfinite(action)).any(-1).nonzero().squeeze(-1).tolist()
+        if bad := bad_rows(action):
             raise InputError(f"'action' is not finite for env ids {bad[:8]}; check the policy that wrote it")
         self._push()
         # a copy: callers reuse their buffers

@@ -19,6 +19,16 @@ def all_finite(values: Iterable[Tensor]) -> Tensor:
     return torch.isfinite(torch.cat([value.flatten() for value in values]).sum())
 
 
+def bad_rows(value: Tensor) -> list[int]:
+    """Rows of an (N, features) entry that hold a NaN or an infinity; where there is none, mostly for one sum.
+
+    Example:
+        >>> bad_rows(torch.tensor([[1.0], [float("nan")]])), bad_rows(torch.full((2, 3), 3e38))  # whose sum overflows
+        ([1], [])
+    """
+    return [] if all_finite([value]) else list(not_finite({"": value}))
+
+
 def not_finite(values: Mapping[Any, Tensor]) -> dict[int, str]:
     """Rows that hold a NaN or an infinity, with the entry where it shows first.
 
