@@ -20,9 +20,9 @@ from benchmarks.memory import peak_memory
 from benchmarks.peers import available
 from benchmarks.timing import Contender, Key, Rates, interleave, medians
 from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, profile
+from torchrl_atr._compilation import compiler
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._files import say
-from torchrl_atr.envs.task.compilation import compiler
 from torchrl_atr.training import TrainConfig
 from torchrl_atr.training.provenance import machine
 
@@ -99,7 +99,8 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
         torch.set_num_threads(threads)  # TorchRL's ParallelEnv lowered it when it started
         rates = interleave(opened, plan.rounds, plan.seconds, say)
         say("profiling")
-        flops, phases = flops_per_frame(loops[0]), profile(loops[0], plan.profiled)
+        phases = profile(loops[0], plan.profiled)
+        flops = flops_per_frame(loops[0].config, scratch / "counted")
     results |= _figures(plan, rates, flops)
     results["profile"] = {
         "num_envs": plan.training_sizes[0],

@@ -18,8 +18,7 @@ from benchmarks.timing import Contender, Key
 from torchrl_atr.envs import Readings, RidingEnv, get_robot, get_transporter, make_riding_env
 from torchrl_atr.envs.models import Scene, build_scene
 from torchrl_atr.envs.physics.engine import DECIMATION
-from torchrl_atr.modules import correlate
-from torchrl_atr.training import TrainConfig, make_env, make_run_networks
+from torchrl_atr.training import TrainConfig, make_env, make_policy, make_run_networks
 from torchrl_atr.training.collection import Collection
 
 STAND_STEPS = 100
@@ -96,8 +95,8 @@ def training_policy(num_envs: int, threads: int, steps: int, compiled: bool = Fa
     config = TrainConfig(num_envs=num_envs, rollout_steps=steps, num_threads=threads, compiled=compiled)
     env = make_env(config)
     torch.manual_seed(config.seed)
-    policy = make_run_networks(config, env).rollout_policy(config.act_source, config.student_fraction)
-    collection = Collection(config, env, partial(make_env, config), correlate(policy, config.noise_correlation))
+    policy = make_policy(config, make_run_networks(config, env))
+    collection = Collection(config, env, partial(make_env, config), policy)
 
     def close() -> None:
         collection.shutdown()

@@ -20,8 +20,8 @@ import torch
 
 from benchmarks import results
 from benchmarks.training import TrainingLoop
+from torchrl_atr._compilation import compiler
 from torchrl_atr._files import say
-from torchrl_atr.envs.task.compilation import compiler
 from torchrl_atr.training import TrainConfig, make_config
 from torchrl_atr.training.provenance import machine
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +43,20 @@ class TrainingLoop:
         return Contender(Key("training", self.config.num_envs, threads), self.iterate, self.close)
 
 
-def flops_per_frame(loop: TrainingLoop) -> float:
-    """Floating-point operations of one iteration's networks, forward and backward, per robot step."""
+def flops_per_frame(config: TrainConfig, folder: Path) -> float:
+    """Floating-point operations of one iteration's networks, forward and backward, per robot step.
+
+    Args:
+        config: of the run; torch counts what is not compiled.
+        folder: that a trainer may write to.
+    """
+    loop = TrainingLoop(dataclasses.replace(config, compiled=False), folder)
     batch = loop.collection.collect()
     with torch.no_grad(), FlopCounterMode(display=False) as acting:
         loop.collection.policy(batch[:, 0].clone())
     with FlopCounterMode(display=False) as learning:
         loop.learner.update(batch)
+    loop.close()
     return acting.get_total_flops() / batch.shape[0] + learning.get_total_flops() / batch.numel()
 
 

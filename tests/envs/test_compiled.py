@@ -6,11 +6,11 @@ import pytest
 import torch
 from torchrl.envs.utils import check_env_specs
 
+from torchrl_atr._compilation import compiler
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs import RidingEnv, make_riding_env
-from torchrl_atr.envs.task import compilation
 
-with_compiler = pytest.mark.skipif(compilation.compiler() is None, reason="no C++ compiler on PATH")
+with_compiler = pytest.mark.skipif(compiler() is None, reason="no C++ compiler on PATH")
 
 
 def ride(compiled: bool, **options):
@@ -58,20 +58,3 @@ def test_without_a_compiler_the_error_says_so(monkeypatch):
     monkeypatch.setenv("CXX", "/nowhere/c++")
     with pytest.raises(InputError, match=r"compiled=True needs a C\+\+ compiler"):
         RidingEnv(num_envs=2, compiled=True)
-
-
-@with_compiler
-def test_what_is_compiled_for_one_env_is_not_searched_by_another(monkeypatch):
-    """torch stops compiling one code after ``recompile_limit`` times, and tries what it has in order at every call."""
-    monkeypatch.setattr(torch._dynamo.config, "recompile_limit", 1)
-    monkeypatch.setattr(torch._dynamo.config, "fail_on_recompile_limit_hit", True)
-
-    class Env:
-        def __init__(self, number):
-            self.number = number
-
-        def step(self, x):
-            return x + self.number
-
-    steps = [compilation.compile_step(Env(number).step) for number in (1, 2, 3)]
-    assert [step(torch.zeros(())).item() for step in steps] == [1, 2, 3]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from torchrl_atr._compilation import compiler
 from torchrl_atr.training import Learner, make_config, make_env, make_run_networks
 
 
@@ -49,3 +50,31 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay():
     for seen, count in zip(rewards, (1.0, 2.0, 5.0, 2.0), strict=True):
         torch.testing.assert_close(seen, plain + (count - 1.0) * steering)
     assert torch.equal(batch["next", "reward_terms", "steering_command"], steering)
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C++ compiler on PATH")
+def test_compiled_losses_and_policy_learn_what_the_eager_ones_do():
+    settings = {"num_envs": 8, "rollout_steps": 4, "num_threads": 1, "minibatches": 1, "epochs": 1}  # one step each
+    env = make_env(make_config(settings))
+    batch, learned = None, {}
+    torch._dynamo.utils.counters.clear()
+    for compiled in (False, True):
+        config = make_config({**settings, "compiled": compiled})
+        torch.manual_seed(0)
+        learner = Learner(make_run_networks(config, env), config)
+        if batch is None:
+            policy = learner.networks.rollout_policy(config.act_source)
+            with torch.no_grad():
+                batch = env.rollout(4, policy, break_when_any_done=False)
+        torch.manual_seed(1)
+        metrics = learner.update(batch.clone())
+        gradients = {name: weight.grad for name, weight in learner.networks.named_parameters()}
+        learned[compiled] = metrics, gradients
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] >= 3  # both losses and the critic
+    assert not torch._dynamo.utils.counters["graph_break"]
+    (plain, wanted), (metrics, gradients) = learned[False], learned[True]
+    assert metrics == pytest.approx(plain, rel=1e-3, abs=1e-5)
+    for name, gradient in gradients.items():
+        torch.testing.assert_close(
+            gradient, wanted[name], atol=1e-5, rtol=1e-3, msg=lambda text, name=name: f"{name}: {text}"
+        )

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torchrl.modules import MLP
+from torchrl.modules import GRU, MLP
 
 from torchrl_atr._registry import Registry
 from torchrl_atr.modules.normalization import RunningNormalizer
@@ -159,7 +159,7 @@ class CNNGRUEstimator(nn.Module):
             TimeConvolution(channels, channels, min(2, steps)),
             nn.ELU(),
         )
-        self.gru = nn.GRU(channels, gru_features, batch_first=True)
+        self.gru = GRU(channels, gru_features, batch_first=True)
         self.head = MLP(gru_features, out_features, num_cells=list(mlp_cells), activation_class=nn.ELU)
 
     def forward(self, history: Tensor) -> Tensor:

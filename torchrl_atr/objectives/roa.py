@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictParams, dispatch
 from torch import Tensor, nn
 from torchrl.objectives import ClipPPOLoss
@@ -159,7 +159,9 @@ class ROAClipPPOLoss(ClipPPOLoss):
                 raise ValueError(f"{name} must be >= 0, got {value}; 0 switches the term off.")
             self.register_coeff_buffer(name, float(value), device=device)
         self._add_scale(extrinsic_scale)
-        self._smooth, self._mean = smoothness_coeff > 0, None
+        self._smooth = smoothness_coeff > 0
+        self._mean: Tensor | None = None
+        self._encoded: Tensor | None = None
         self._in_keys = self._out_keys = None  # they were cached before these networks existed
 
     def _add_network(self, name: str, network: TensorDictModule) -> None:
@@ -226,7 +228,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return every term: PPO, ``loss_roa`` and both estimator losses, with diagnostics."""
         out = super().forward(tensordict)
-        latent, estimate = self._latent(tensordict), self._latent_estimate(tensordict)
+        latent, estimate = self._latent_of_the_actor(tensordict), self._latent_estimate(tensordict)
         out.update(self._roa_terms(tensordict, latent, estimate))
         out.update(self._adaptation_terms(tensordict, latent, estimate))
         out.update(self._smoothness_terms(tensordict))
@@ -243,7 +245,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
         if estimate is None:
             with torch.no_grad():
                 estimate = self._latent_estimate(tensordict)
-        out.update(self._roa_terms(tensordict, self._latent(tensordict), estimate))
+        out.update(self._roa_terms(tensordict, self._latent_of_the_actor(tensordict), estimate))
         out.update(self._smoothness_terms(tensordict))
         return out
 
@@ -255,8 +257,16 @@ class ROAClipPPOLoss(ClipPPOLoss):
 
     def _get_cur_log_prob(self, tensordict: TensorDictBase, params: TensorDictParams | None = None) -> Any:
         log_prob, dist, is_composite = super()._get_cur_log_prob(tensordict, params)
-        self._mean = dist.mean if self._smooth else None  # of the one forward pass that PPO makes anyway
+        if params is None:  # the one forward pass that PPO makes anyway: its mean action and latent are ours too
+            encodes = unravel_key(self.tensor_keys.latent) in self.actor_network.out_keys
+            self._encoded = tensordict.get(self.tensor_keys.latent) if encodes else None
+            self._mean = dist.mean if self._smooth else None
         return log_prob, dist, is_composite
+
+    def _latent_of_the_actor(self, tensordict: TensorDictBase) -> Tensor:
+        """The latent that the actor just computed; computed here if it computes none."""
+        latent, self._encoded = self._encoded, None
+        return self._latent(tensordict) if latent is None else latent
 
     def _smoothness_terms(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         if not self._smooth:

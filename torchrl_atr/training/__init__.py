@@ -1,6 +1,6 @@
 """The recipe: configuration, trainer, learner, checkpoints and logs."""
 
-from torchrl_atr.training.assembly import DEPLOYED, load_run, make_env, make_run_networks
+from torchrl_atr.training.assembly import DEPLOYED, load_run, make_env, make_policy, make_run_networks
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.config_io import make_config, read_config
@@ -26,6 +26,7 @@ __all__ = [
     "load_run",
     "make_config",
     "make_env",
+    "make_policy",
     "make_run_networks",
     "read_config",
     "run_config",

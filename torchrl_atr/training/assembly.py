@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from tensordict.nn import TensorDictSequential
 from torchrl.envs import TransformedEnv
 
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.modules import NetworkKeys, RidingNetworks, leg_synergies, make_networks
+from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.restoring import load_networks, run_config
@@ -81,6 +82,14 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         reflections=env.base_env.reflections if config.symmetric else None,
         keys=NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None),
     )
+
+
+def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
+    """The policy that a run collects with; it shares the networks."""
+    actor = networks.rollout_policy(config.act_source, config.student_fraction)
+    if config.compiles_networks:
+        actor.module[0].compile()
+    return correlate(actor, config.noise_correlation)
 
 
 def load_run(

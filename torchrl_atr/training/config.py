@@ -49,8 +49,8 @@ class TrainConfig:
         seed: of everything.
         device: of the learner; physics stays on the CPU.
         num_threads: physics threads; 0 for the CPUs this process may use.
-        compiled: whether ``torch.compile`` makes one function of what the task computes at every step; a resumed run is
-            then the uninterrupted one to rounding.
+        compiled: whether ``torch.compile`` makes few loops of what the task computes at every step and, where the
+            learner is on the CPU, of policy and losses; a resumed run is then the uninterrupted one to rounding.
         collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
             engine ``process``, ``ray`` or ``distributed``.
         workers: processes that share the robots and the CPUs.
@@ -231,6 +231,11 @@ class TrainConfig:
             raise ConfigError(
                 f"num_envs={self.num_envs} cannot be shared evenly by {name}={processes}; choose a multiple of it"
             )
+
+    @property
+    def compiles_networks(self) -> bool:
+        """Whether policy and losses are compiled too: for a CPU alone, where it was measured."""
+        return self.compiled and self.device == "cpu"
 
     def threads_each(self, processes: int) -> int:
         """Physics threads of each of so many processes that share the CPUs."""

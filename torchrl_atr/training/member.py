@@ -13,8 +13,7 @@ import torch
 from torchrl.envs import TransformedEnv
 
 from torchrl_atr.envs.task.rewards import MAX_TRACKING, reward_scale
-from torchrl_atr.modules import correlate
-from torchrl_atr.training.assembly import make_env, make_run_networks
+from torchrl_atr.training.assembly import make_env, make_policy, make_run_networks
 from torchrl_atr.training.collection import Collection
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.learner import Learner
@@ -110,8 +109,7 @@ def make_member(learner: Learner, env: TransformedEnv, team: Team, run: Path, st
         started: iterations that the run has behind it.
     """
     config = learner.config
-    policy = learner.networks.rollout_policy(config.act_source, config.student_fraction)
-    policy = correlate(policy, config.noise_correlation)
+    policy = make_policy(config, learner.networks)
     return Member(learner, Collection(config, env, env_maker(config, run), policy, started), team)
 
 

@@ -10,12 +10,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchrl_atr._compilation import compile_function
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task import disturbances, observations, rewards
 from torchrl_atr.envs.task import randomization as intrinsics
-from torchrl_atr.envs.task.compilation import compile_step
 from torchrl_atr.envs.task.guard import all_finite, bad_rows
 from torchrl_atr.envs.task.outlook import outlook
 from torchrl_atr.envs.task.rotations import rotate_back
@@ -58,7 +58,7 @@ class RidingTask:
         rng: source of intrinsics, initial states and pushes.
         moving_start: share of the episodes that start at part of the commanded speeds.
         retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again.
-        compiled: whether what a step computes from the simulation is compiled (``compile_step``).
+        compiled: whether what a step computes from the simulation is compiled (``compile_function``).
 
     Attributes:
         x_int: scaled intrinsic parameters, (N, 34).
@@ -102,8 +102,8 @@ class RidingTask:
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
         self._assess, self._open = self._assess_eagerly, self._open_eagerly
         if compiled:
-            self._assess = compile_step(self._assess_eagerly)
-            self._open = compile_step(self._open_eagerly, dynamic=True)  # any number of robots begins
+            self._assess = compile_function(self._assess_eagerly)
+            self._open = compile_function(self._open_eagerly, dynamic=True)  # any number of robots begins
         self.begin(np.arange(n))
 
     @torch.no_grad()

@@ -1,4 +1,4 @@
-"""``torch.compile`` for what a control step computes: a few loops instead of hundreds of small operations."""
+"""``torch.compile`` for what is computed again and again: a few loops instead of hundreds of small operations."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CXX") or ("clang++" if sys.platform == "darwin" else "g++"))
 
 
-def compile_step(step: Callable[..., Any], dynamic: bool | None = None) -> Callable[..., Any]:
-    """``step``, compiled at its first call, which takes half a minute; what it calls must be traceable by torch.
+def compile_function(function: Callable[..., Any], dynamic: bool | None = None) -> Callable[..., Any]:
+    """``function``, compiled at its first call, which takes half a minute; what it calls must be traceable by torch.
 
     torch keeps the result on disk for the next process. Another number of torch threads is compiled anew, and run
     eagerly after eight of them, with torch's warning.
 
     Args:
-        step: a function or method of tensors, and of what does not change.
-        dynamic: whether it is compiled for any number of robots, or one, at once.
+        function: a function or method of tensors, and of what does not change.
+        dynamic: whether it is compiled for any number of rows, or one, at once.
 
     Raises:
         InputError: if there is no C++ compiler, which torch needs for code on a CPU.
@@ -37,13 +37,14 @@ def compile_step(step: Callable[..., Any], dynamic: bool | None = None) -> Calla
             "compiled=True needs a C++ compiler on PATH, g++ (macOS: clang++) or $CXX, and Python's headers; "
             "install them, or do without"
         )
-    return torch.compile(_own(step), dynamic=dynamic)
+    return torch.compile(_own(function), dynamic=dynamic)
 
 
-def _own(step: Callable[..., Any]) -> Callable[..., Any]:
+def _own(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function with code of its own: torch searches what was compiled of one code in order, at every call."""
-    if isinstance(step, MethodType):
-        return MethodType(_own(step.__func__), step.__self__)
-    own = FunctionType(step.__code__.replace(), step.__globals__, step.__name__, step.__defaults__, step.__closure__)
-    own.__kwdefaults__ = step.__kwdefaults__
+    if isinstance(function, MethodType):
+        return MethodType(_own(function.__func__), function.__self__)
+    code, name = function.__code__.replace(), function.__name__
+    own = FunctionType(code, function.__globals__, name, function.__defaults__, function.__closure__)
+    own.__kwdefaults__ = function.__kwdefaults__
     return own
