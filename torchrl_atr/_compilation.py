@@ -10,6 +10,7 @@ from types import FunctionType, MethodType
 from typing import Any
 
 import torch
+from torch import nn
 
 from torchrl_atr._errors import InputError
 
@@ -22,11 +23,12 @@ def compiler() -> str | None:
 def compile_function(function: Callable[..., Any], dynamic: bool | None = None) -> Callable[..., Any]:
     """``function``, compiled at its first call, which takes half a minute; what it calls must be traceable by torch.
 
-    torch keeps the result on disk for the next process. Another number of torch threads is compiled anew, and run
-    eagerly after eight of them, with torch's warning.
+    torch keeps the result on disk for the next process. Other shapes or another number of torch threads are compiled
+    anew, and run eagerly after eight of them, with torch's warning.
 
     Args:
-        function: a function or method of tensors, and of what does not change.
+        function: a function or method of tensors, and of what does not change: nobody looks whether it did, which would
+            take a third of a millisecond a call.
         dynamic: whether it is compiled for any number of rows, or one, at once.
 
     Raises:
@@ -37,7 +39,13 @@ def compile_function(function: Callable[..., Any], dynamic: bool | None = None) 
             "compiled=True needs a C++ compiler on PATH, g++ (macOS: clang++) or $CXX, and Python's headers; "
             "install them, or do without"
         )
-    return torch.compile(_own(function), dynamic=dynamic)
+    unchecked: dict[str, Any] = {"guard_filter_fn": torch.compiler.keep_portable_guards_unsafe}
+    return torch.compile(_own(function), dynamic=dynamic, options=unchecked)
+
+
+def compile_forward(module: nn.Module) -> None:
+    """Compiles what a module does, in place; it cannot be pickled any more. See :func:`compile_function`."""
+    module.forward = compile_function(module.forward)
 
 
 def _own(function: Callable[..., Any]) -> Callable[..., Any]:

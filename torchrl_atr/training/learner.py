@@ -14,7 +14,7 @@ from torchrl.data import SamplerWithoutReplacement, TensorDictReplayBuffer, Tens
 from torchrl.objectives.utils import KLAdaptiveLR
 from torchrl.objectives.value import GAE
 
-from torchrl_atr._compilation import compile_function
+from torchrl_atr._compilation import compile_forward, compile_function
 from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.training.config import TrainConfig
@@ -65,7 +65,7 @@ class Learner:
         self._policy_loss, self._adaptation_loss = self.loss.policy_loss, self.loss.adaptation_loss
         if config.compiles_networks:
             self._policy_loss, self._adaptation_loss = map(compile_function, (self._policy_loss, self._adaptation_loss))
-            critic.compile()
+            compile_forward(critic)
         self._groups: dict[str, list[nn.Parameter]] = {
             "policy": [*networks.encoder.parameters(), *networks.backbone.parameters()],
             "critic": list(networks.critic.parameters()),
