@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchrl_atr._compilation import compiler
-from torchrl_atr.training import Learner, make_config, make_env, make_run_networks
+from torchrl_atr.training import Learner, make_config, make_env, make_policy, make_run_networks
 
 
 @pytest.mark.parametrize("ramp", [False, True])
@@ -53,28 +53,32 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay():
 
 
 @pytest.mark.skipif(compiler() is None, reason="no C++ compiler on PATH")
-def test_compiled_losses_and_policy_learn_what_the_eager_ones_do():
-    settings = {"num_envs": 8, "rollout_steps": 4, "num_threads": 1, "minibatches": 1, "epochs": 1}  # one step each
+def test_compiled_losses_and_policy_do_what_the_eager_ones_do_schedules_included():
+    still = dict.fromkeys(("learning_rate", "critic_learning_rate", "estimator_learning_rate"), 1e-9)
+    settings = {"num_envs": 8, "rollout_steps": 4, "num_threads": 1, "minibatches": 1, "epochs": 1, "roa_ramp": True}
     env = make_env(make_config(settings))
-    batch, learned = None, {}
+    start, batch, found = env.reset(), None, {}
     torch._dynamo.utils.counters.clear()
     for compiled in (False, True):
-        config = make_config({**settings, "compiled": compiled})
+        config = make_config({**settings, **still, "compiled": compiled})
         torch.manual_seed(0)
         learner = Learner(make_run_networks(config, env), config)
-        if batch is None:
-            policy = learner.networks.rollout_policy(config.act_source)
-            with torch.no_grad():
-                batch = env.rollout(4, policy, break_when_any_done=False)
-        torch.manual_seed(1)
-        metrics = learner.update(batch.clone())
+        with torch.no_grad():
+            acted = make_policy(config, learner.networks)(start.clone())
+            if batch is None:
+                policy = learner.networks.rollout_policy(config.act_source)
+                batch = env.rollout(4, policy, auto_reset=False, tensordict=start.clone(), break_when_any_done=False)
+        metrics = []
+        for progress in (0.25, 0.75):
+            learner.anneal(progress)
+            metrics.append(learner.update(batch.clone()))
         gradients = {name: weight.grad for name, weight in learner.networks.named_parameters()}
-        learned[compiled] = metrics, gradients
-    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] >= 3  # both losses and the critic
+        found[compiled] = {"action": acted["action"], **gradients}, metrics
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] >= 4  # policy, critic, both losses
     assert not torch._dynamo.utils.counters["graph_break"]
-    (plain, wanted), (metrics, gradients) = learned[False], learned[True]
-    assert metrics == pytest.approx(plain, rel=1e-3, abs=1e-5)
-    for name, gradient in gradients.items():
-        torch.testing.assert_close(
-            gradient, wanted[name], atol=1e-5, rtol=1e-3, msg=lambda text, name=name: f"{name}: {text}"
-        )
+    (wanted, plain), (tensors, metrics) = found[False], found[True]
+    assert plain[1]["loss_roa"] > 2.5 * plain[0]["loss_roa"] > 0.0
+    for ours, theirs in zip(metrics, plain, strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-3, abs=1e-5)
+    for name, tensor in tensors.items():
+        torch.testing.assert_close(tensor, wanted[name], atol=1e-5, rtol=1e-3, msg=lambda m, name=name: f"{name}: {m}")
