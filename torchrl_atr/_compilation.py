@@ -10,7 +10,6 @@ from types import FunctionType, MethodType
 from typing import Any
 
 import torch
-from torch import nn
 
 from torchrl_atr._errors import InputError
 
@@ -43,9 +42,10 @@ def compile_function(function: Callable[..., Any], dynamic: bool | None = None) 
     return torch.compile(_own(function), dynamic=dynamic, options=unchecked)
 
 
-def compile_forward(module: nn.Module) -> None:
-    """Compiles what a module does, in place; it cannot be pickled any more. See :func:`compile_function`."""
-    module.forward = compile_function(module.forward)
+def compile_methods(owner: object, *names: str) -> None:
+    """Compiles methods of one object, in place; it cannot be pickled any more. See :func:`compile_function`."""
+    for name in names:
+        setattr(owner, name, compile_function(getattr(owner, name)))
 
 
 def _own(function: Callable[..., Any]) -> Callable[..., Any]:

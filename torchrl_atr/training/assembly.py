@@ -8,7 +8,7 @@ from typing import Any
 from tensordict.nn import TensorDictSequential
 from torchrl.envs import TransformedEnv
 
-from torchrl_atr._compilation import compile_forward
+from torchrl_atr._compilation import compile_methods
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.state import CONTROL_DT
@@ -89,7 +89,7 @@ def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequ
     """The policy that a run collects with; it shares the networks."""
     actor = networks.rollout_policy(config.act_source, config.student_fraction)
     if config.compiles_networks and config.collector == "direct":  # what is compiled cannot be sent to workers
-        compile_forward(actor.module[0])
+        compile_methods(actor.module[0], "forward")
     return correlate(actor, config.noise_correlation)
 
 

@@ -14,7 +14,7 @@ from torchrl.data import SamplerWithoutReplacement, TensorDictReplayBuffer, Tens
 from torchrl.objectives.utils import KLAdaptiveLR
 from torchrl.objectives.value import GAE
 
-from torchrl_atr._compilation import compile_forward, compile_function
+from torchrl_atr._compilation import compile_methods
 from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.training.config import TrainConfig
@@ -62,10 +62,9 @@ class Learner:
             average_gae=True,
             shifted=True,
         )
-        self._policy_loss, self._adaptation_loss = self.loss.policy_loss, self.loss.adaptation_loss
         if config.compiles_networks:
-            self._policy_loss, self._adaptation_loss = map(compile_function, (self._policy_loss, self._adaptation_loss))
-            compile_forward(critic)
+            compile_methods(self.loss, "policy_loss", "adaptation_loss")
+            compile_methods(critic, "forward")
         self._groups: dict[str, list[nn.Parameter]] = {
             "policy": [*networks.encoder.parameters(), *networks.backbone.parameters()],
             "critic": list(networks.critic.parameters()),
@@ -163,7 +162,7 @@ class Learner:
             for minibatch in buffer:
                 if too_far:
                     continue
-                terms = self._policy_loss(minibatch)
+                terms = self.loss.policy_loss(minibatch)
                 divergence = float(_kl_divergence(terms))
                 if not fresh and math.isfinite(divergence):
                     self.schedule.step(divergence)
@@ -175,7 +174,7 @@ class Learner:
     def _adaptation_steps(self, buffer: TensorDictReplayBuffer) -> Iterator[TensorDictBase]:
         for _ in range(self.config.adaptation_epochs):
             for minibatch in buffer:
-                terms = self._adaptation_loss(minibatch)
+                terms = self.loss.adaptation_loss(minibatch)
                 self._step(terms, "estimators")
                 yield terms
 
