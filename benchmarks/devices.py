@@ -92,6 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.devices", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/devices"), metavar="FOLDER")
     parser.add_argument("--num-envs", type=int, nargs="+", default=[512, 1024, 2048, 4096])
+    parser.add_argument("--devices", nargs="+", default=["cpu", *(["cuda"] if torch.cuda.is_available() else [])])
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=2.0, help="of a turn")
     parser.add_argument("--set", dest="overrides", action="append", default=[], metavar="KEY=VALUE")
@@ -101,12 +102,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _compare(arguments: argparse.Namespace) -> None:
     started = time.monotonic()
-    devices = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
     loops: list[TrainingLoop] = []
     with tempfile.TemporaryDirectory() as scratch:
         try:
             for size in arguments.num_envs:
-                for device in devices:
+                for device in arguments.devices:
                     say(f"{size} robots, learner on {device}")
                     values = {"num_envs": size, "device": device, "compiled": compiler() is not None}
                     config = make_config(values, arguments.overrides)
@@ -117,11 +117,11 @@ def _compare(arguments: argparse.Namespace) -> None:
                 loop.close()
     sizes, settings = " ".join(map(str, arguments.num_envs)), "".join(f" --set {text}" for text in arguments.overrides)
     report = {
-        "command": f"python -m benchmarks.devices --num-envs {sizes} --rounds {arguments.rounds} "
+        "command": f"python -m benchmarks.devices --num-envs {sizes} --devices {' '.join(arguments.devices)} --rounds {arguments.rounds} "
         f"--seconds {arguments.seconds:g}{settings}",
         "rows": rows,
         "wall_seconds": round(time.monotonic() - started, 1),
-        **machine(devices[-1]),
+        **machine(arguments.devices[-1]),
     }
     results.write(arguments.output, "devices", report, table(report))
 

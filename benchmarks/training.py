@@ -111,8 +111,8 @@ def _parts(loop: TrainingLoop) -> dict[tuple[str, str], tuple[Any, str]]:
         ("collect", "policy"): (loop.collection.policy, "forward"),
         ("collect", "collector"): (loop.collection, "collect"),
         ("learn", "GAE"): (learner, "advantage"),
-        ("learn", "PPO"): (learner, "_policy_steps"),
-        ("learn", "estimators"): (learner, "_adaptation_steps"),
+        ("learn", "PPO"): (learner, "_learn_policy"),
+        ("learn", "estimators"): (learner, "_learn_estimators"),
         ("learn", "rest"): (learner, "update"),
         ("rest", "metrics, annealing"): (loop, "iterate"),
     }

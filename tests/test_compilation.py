@@ -1,11 +1,15 @@
-"""Functions that torch compiles keep out of each other's way."""
+"""Functions that torch compiles keep out of each other's way; what a CUDA graph does is what its function does."""
 
 from __future__ import annotations
 
 import pytest
 import torch
+from tensordict import TensorDict
 
-from torchrl_atr._compilation import compile_function, compiler
+from torchrl_atr._compilation import CudaGraph, compile_function, compiler
+from torchrl_atr._errors import InputError
+
+on_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; torch finds none here")
 
 
 @torch._dynamo.config.patch(recompile_limit=1, fail_on_recompile_limit_hit=True)
@@ -22,3 +26,29 @@ def test_what_is_compiled_for_one_object_is_not_searched_by_another():
 
     steps = [compile_function(Env(number).step) for number in (1, 2, 3)]
     assert [step(torch.zeros(())).item() for step in steps] == [1, 2, 3]
+
+
+@on_gpu
+def test_a_captured_step_counts_on_with_any_number_of_rows_and_gives_tensors_of_its_own():
+    total, calls, given = torch.zeros((), device="cuda"), [], []
+
+    def add(inputs):
+        calls.append(len(inputs))
+        total.add_(inputs["x"].sum())
+        return TensorDict(total=total.clone())
+
+    graph = CudaGraph(add, warmup=2)
+    for rows in (3, 3, 3, 3, 3, 2):
+        given.append(graph(TensorDict({"x": torch.ones(rows, device="cuda")}, [rows]))["total"])
+    assert [value.item() for value in given] == [3, 6, 9, 12, 15, 17]
+    assert calls == [3, 3, 3, 2]  # two to warm up, the capture, and the odd one; the rest are replayed
+
+
+@on_gpu
+def test_what_waits_for_the_gpu_is_named_as_the_reason():
+    graph = CudaGraph(lambda inputs: inputs if inputs["x"].sum().item() > 0 else -inputs, warmup=1)
+    ones = TensorDict({"x": torch.ones(2, device="cuda")}, [2])
+    assert graph(ones)["x"].tolist() == [1, 1]
+    with pytest.raises(InputError, match=r"cannot become a CUDA graph .* do without compiled"):
+        graph(ones)
+    assert (ones["x"] + 1).tolist() == [2, 2]

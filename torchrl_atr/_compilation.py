@@ -1,4 +1,4 @@
-"""``torch.compile`` for what is computed again and again: a few loops instead of hundreds of small operations."""
+"""For what is computed again and again: ``torch.compile`` on a CPU, a captured graph of operations on a GPU."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from types import FunctionType, MethodType
 from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 
-from torchrl_atr._errors import InputError
+from torchrl_atr._errors import InputError, first_line
 
 
 def compiler() -> str | None:
@@ -46,6 +47,60 @@ def compile_methods(owner: object, *names: str) -> None:
     """Compiles methods of one object, in place; it cannot be pickled any more. See :func:`compile_function`."""
     for name in names:
         setattr(owner, name, compile_function(getattr(owner, name)))
+
+
+class CudaGraph:
+    """A function of a TensorDict that becomes one CUDA graph: launched as a whole, not operation by operation.
+
+    The first calls, and those with another number of rows than was captured, run as they are. tensordict's
+    ``CudaGraphModule`` waits for the GPU at every call; this does not.
+
+    Args:
+        function: takes a TensorDict on a GPU and returns one; may change parameters and optimiser states in place. It
+            must not wait for the GPU, nor read what changes outside it and is no tensor.
+        warmup: calls before it is captured, for what is made when first needed.
+
+    Raises:
+        InputError: at the call at which it is captured, if it cannot be.
+    """
+
+    def __init__(self, function: Callable[[TensorDictBase], TensorDictBase], warmup: int = 3) -> None:
+        self.function, self.warmup = function, warmup
+        self._captured: tuple[torch.cuda.CUDAGraph, TensorDictBase, TensorDictBase] | None = None
+        self._stream = torch.cuda.Stream()
+
+    def __call__(self, inputs: TensorDictBase) -> TensorDictBase:
+        """What the function returns, in tensors of their own."""
+        if self.warmup > 0:
+            self.warmup -= 1
+            return self._beside(inputs)
+        graph, read, written = self._captured = self._captured or self._capture(inputs)
+        if inputs.shape != read.shape:
+            return self.function(inputs)
+        read.update_(inputs)
+        graph.replay()
+        return written.clone()
+
+    def _beside(self, inputs: TensorDictBase) -> TensorDictBase:
+        """On another stream, as torch advises: what autograd keeps of the main one could not be captured."""
+        main = torch.cuda.current_stream()
+        self._stream.wait_stream(main)
+        with torch.cuda.stream(self._stream):
+            outputs = self.function(inputs)
+        main.wait_stream(self._stream)
+        return outputs
+
+    def _capture(self, inputs: TensorDictBase) -> tuple[torch.cuda.CUDAGraph, TensorDictBase, TensorDictBase]:
+        graph, read = torch.cuda.CUDAGraph(), inputs.clone()
+        try:
+            with torch.cuda.graph(graph):  # nothing is computed yet
+                written = self.function(read)
+        except RuntimeError as error:
+            raise InputError(
+                f"compiled=True: this cannot become a CUDA graph ({first_line(error)}); a module in it waits for the "
+                "GPU, as .item() and an if on a tensor do, or sends data there: change that, or do without compiled"
+            ) from error
+        return graph, read, written
 
 
 def _own(function: Callable[..., Any]) -> Callable[..., Any]:

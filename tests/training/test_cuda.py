@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, run_config
+from torchrl_atr.envs import make_riding_env
+from torchrl_atr.modules import OnDevice
+from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, make_run_networks, run_config
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; torch finds none here")
 SETTINGS = {"num_envs": 8, "rollout_steps": 8, "total_frames": 3 * 64, "num_threads": 1, "device": "cuda"}
 
 
-def test_it_trains_there_and_goes_on_and_rides_without_it(tmp_path):
+@pytest.mark.parametrize("compiled", [False, True])
+def test_it_trains_there_and_goes_on_and_rides_without_it(tmp_path, compiled):
     metrics = []
-    trainer = Trainer(make_config(SETTINGS), tmp_path / "run")
+    trainer = Trainer(make_config({**SETTINGS, "compiled": compiled}), tmp_path / "run")
     trainer.train(metrics.append)
     assert {parameter.device.type for parameter in trainer.learner.networks.parameters()} == {"cuda"}
     assert trainer.env.base_env.device.type == "cpu"
@@ -21,6 +28,82 @@ def test_it_trains_there_and_goes_on_and_rides_without_it(tmp_path):
     _, env, networks, _ = load_run(tmp_path / "run", num_envs=2)
     assert env.rollout(3, networks.deployed_policy())["action"].device.type == "cpu"
     state = load_checkpoint(tmp_path / "run")
-    resumed = Trainer(run_config(state, tmp_path, device="cpu", total_frames=4 * 64), tmp_path / "run", state)
+    resumed = Trainer(
+        run_config(state, tmp_path, device="cpu", compiled=False, total_frames=4 * 64), tmp_path / "run", state
+    )
     assert resumed.train() is None
     assert resumed.frames == 4 * 64
+
+
+def learned(tmp_path, **settings):
+    """A learner's parameters and metrics after several updates on one batch that both of them see."""
+    torch.manual_seed(0)
+    trainer = Trainer(make_config({**SETTINGS, "minibatches": 1, **settings}), tmp_path)
+    batch = trainer.member.collection.collect().clone()
+    metrics = [trainer.learner.update(batch.clone()) for _ in range(3)]
+    trainer._close()
+    return {name: p.detach().clone() for name, p in trainer.learner.networks.named_parameters()}, metrics
+
+
+@pytest.fixture
+def uncompiled_env(monkeypatch):
+    """What ``compiled`` does on a GPU alone: the env's functions stay eager."""
+    monkeypatch.setattr("torchrl_atr.training.assembly.make_riding_env", _eager_env)
+
+
+def _eager_env(**arguments):
+    return make_riding_env(**{**arguments, "compiled": False})
+
+
+def test_captured_steps_do_what_the_eager_ones_do(tmp_path, uncompiled_env):
+    wanted, plain = learned(tmp_path / "eager")
+    tensors, metrics = learned(tmp_path / "captured", compiled=True)
+    for ours, theirs in zip(metrics, plain, strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-3, abs=1e-5)
+    for name, tensor in tensors.items():
+        torch.testing.assert_close(tensor, wanted[name], atol=1e-5, rtol=1e-3)
+
+
+def waits(act):
+    """How often something waits for the GPU."""
+    torch.cuda.set_sync_debug_mode("warn")
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            act()
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    return [str(warning.message) for warning in caught if "synchroniz" in str(warning.message)]
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_no_optimiser_step_waits_for_the_gpu(tmp_path, uncompiled_env, compiled):
+    found = []
+    for epochs in (2, 7):
+        settings = {**SETTINGS, "compiled": compiled, "epochs": epochs, "adaptation_epochs": epochs}
+        trainer = Trainer(make_config(settings), tmp_path / str(epochs))
+        for _ in range(3):
+            trainer.iterate()
+        batch = trainer.member.collection.collect().clone()
+        found.append(len(waits(lambda learner=trainer.learner, data=batch: learner.update(data))))
+        trainer._close()
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("captured", [False, True])
+def test_a_policy_there_writes_what_it_writes_here_and_waits_for_that_alone(captured):
+    env = make_riding_env(num_envs=4, num_threads=1)
+    torch.manual_seed(0)
+    networks = make_run_networks(make_config({"num_envs": 4, "num_threads": 1}), env)
+    data, plain = env.reset(), networks.rollout_policy("mixed", 0.5)
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        wanted = plain(data.clone()).select(*plain.out_keys)
+        policy = OnDevice(networks.to("cuda").rollout_policy("mixed", 0.5), "cuda", captured)
+        for _ in range(6):
+            written = policy(data.clone()).select(*plain.out_keys)
+            assert {value.device.type for value in written.values(True, True)} == {"cpu"}
+            for key in plain.out_keys:
+                torch.testing.assert_close(written[key], wanted[key], atol=1e-3, rtol=1e-3)
+        sent = policy._sent(data.select(*policy.in_keys))
+        assert waits(lambda: policy._run(sent)) == []
+    assert isinstance(sent, TensorDict)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from torchrl_atr._compilation import compiler
 from torchrl_atr.training import Learner, make_config, make_env, make_policy, make_run_networks
@@ -82,3 +83,35 @@ def test_compiled_losses_and_policy_do_what_the_eager_ones_do_schedules_included
         assert ours == pytest.approx(theirs, rel=1e-3, abs=1e-5)
     for name, tensor in tensors.items():
         torch.testing.assert_close(tensor, wanted[name], atol=1e-5, rtol=1e-3, msg=lambda m, name=name: f"{name}: {m}")
+
+
+class Looks(TorchDispatchMode):
+    """Counts what would wait for a GPU: values that Python asks for, results whose size depends on values."""
+
+    def __init__(self):
+        super().__init__()
+        self.count = 0
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        self.count += function.overloadpacket.__name__ in ("_local_scalar_dense", "nonzero", "masked_select")
+        return function(*args, **(kwargs or {}))
+
+
+def test_no_optimiser_step_and_no_policy_step_looks_at_values():
+    looks = []
+    for epochs in (1, 4):
+        settings = {"num_envs": 8, "rollout_steps": 4, "num_threads": 1, "minibatches": 2}
+        config = make_config({**settings, "epochs": epochs, "adaptation_epochs": epochs})
+        env = make_env(config)
+        learner = Learner(make_run_networks(config, env), config)
+        policy = make_policy(config, learner.networks)
+        with torch.no_grad():
+            batch = env.rollout(4, policy, break_when_any_done=False)
+            with Looks() as acting:
+                policy(batch[:, 0].clone())
+        assert acting.count == 0
+        learner.update(batch.clone())  # what happens once in a run
+        with Looks() as learning:
+            learner.update(batch.clone())
+        looks.append(learning.count)
+    assert looks[0] == looks[1] > 0

@@ -21,6 +21,7 @@ from torchrl_atr.modules.exploration import CorrelatedGaussian, SynergyNormal, c
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.networks import RidingNetworks, make_networks
 from torchrl_atr.modules.normalization import RunningNormalizer
+from torchrl_atr.modules.placement import OnDevice
 from torchrl_atr.modules.symmetry import SymmetricLinear, symmetric_mlp
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "MLPEstimator",
     "NetworkKeys",
     "NormalizedEstimator",
+    "OnDevice",
     "RidingNetworks",
     "RunningNormalizer",
     "Source",

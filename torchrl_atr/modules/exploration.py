@@ -136,23 +136,27 @@ class CorrelatedGaussian(TensorDictModuleBase):
         normal = SynergyNormal(loc, scale, self.basis)
         action = loc
         if exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
-            fresh = torch.randn_like(loc)
-            if self._noise is None or self._noise.shape != loc.shape:
-                self._noise = fresh
-            else:
-                kept = self._noise.to(loc)  # a checkpoint is read on the CPU
-                self._noise = self.correlation * kept + math.sqrt(1 - self.correlation**2) * fresh
-            action = normal.displace(self._noise)
+            action = normal.displace(self._next_noise(torch.randn_like(loc)))
         tensordict.set(self.out_keys[0], action)
         return tensordict.set(self.out_keys[1], normal.log_prob(action))
 
+    def _next_noise(self, fresh: Tensor) -> Tensor:
+        if self._noise is None or self._noise.shape != fresh.shape:
+            self._noise = fresh.clone()
+            return fresh
+        self._noise = self._noise.to(fresh)  # a checkpoint is read on the CPU
+        noise = self.correlation * self._noise + math.sqrt(1 - self.correlation**2) * fresh
+        self._noise.copy_(noise)  # in place: a captured step goes on from what it wrote
+        return noise
+
     def get_extra_state(self) -> dict[str, Any]:
         """The noise that runs on, (*B, A), or None before the first step."""
-        return {"noise": self._noise}
+        return {"noise": None if self._noise is None else self._noise.clone()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`."""
-        self._noise = state["noise"]
+        noise = state["noise"]
+        self._noise = None if noise is None else noise.clone()
 
 
 def correlate(actor: ProbabilisticActor, correlation: float, action: NestedKey = "action") -> TensorDictSequential:

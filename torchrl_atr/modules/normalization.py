@@ -90,17 +90,18 @@ class RunningNormalizer(nn.Module):
         """
         self._check(x)
         rows = x.detach().reshape(-1, max(self.shape.numel(), 1)).to(torch.float64)
-        rows = rows[rows.isfinite().all(-1)]
-        if not rows.shape[0]:
-            return
+        finite = rows.isfinite().all(-1, keepdim=True)  # a mask, not an index: nothing waits for a GPU
+        samples = finite.sum()
+        number = samples.clamp(min=1)
+        batch_mean = rows.where(finite, 0.0).sum(0) / number
+        batch_var = (rows - batch_mean).where(finite, 0.0).square().sum(0) / number
         mean, var = self.mean.to(torch.float64), self.var.to(torch.float64)
-        batch_var, batch_mean = torch.var_mean(rows, dim=0, correction=0)
         if self.reflection is not None:
             matrix = self.reflection.to(torch.float64)
             spread = (batch_mean - matrix @ batch_mean) / 2
             batch_mean, batch_var = batch_mean - spread, (batch_var + matrix.abs() @ batch_var) / 2 + spread.square()
-        total = self.count + rows.shape[0]
-        weight = rows.shape[0] / total
+        total = self.count + samples
+        weight = samples / total.clamp(min=1)
         delta = batch_mean.reshape(self.shape) - mean
         merged = (1 - weight) * var + weight * batch_var.reshape(self.shape) + weight * (1 - weight) * delta**2
         self.mean.copy_(mean + weight * delta)

@@ -10,6 +10,8 @@ import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictParams, dispatch
 from torch import Tensor, nn
+from torch.distributions import Distribution
+from torchrl.modules.distributions.utils import has_analytic_entropy
 from torchrl.objectives import ClipPPOLoss
 
 ADAPTATION_NETWORKS = ("encoder_network", "intrinsic_estimator_network", "extrinsic_estimator_network")
@@ -262,6 +264,10 @@ class ROAClipPPOLoss(ClipPPOLoss):
             self._encoded = tensordict.get(self.tensor_keys.latent) if encodes else None
             self._mean = dist.mean if self._smooth else None
         return log_prob, dist, is_composite
+
+    def _get_entropy(self, dist: Distribution, adv_shape: torch.Size) -> Tensor:
+        """A closed form is taken as it is; TorchRL looks whether it is finite, which waits for a GPU."""
+        return dist.entropy().unsqueeze(-1) if has_analytic_entropy(dist) else super()._get_entropy(dist, adv_shape)
 
     def _latent_of_the_actor(self, tensordict: TensorDictBase) -> Tensor:
         """The latent that the actor just computed; computed here if it computes none."""

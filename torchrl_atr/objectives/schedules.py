@@ -1,10 +1,13 @@
-"""Schedules of loss coefficients over the progress of a run."""
+"""Schedules: of loss coefficients over the progress of a run, of a learning rate by the policy's divergence."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import torch
+from torch import Tensor
 from torchrl.objectives import LossModule
+from torchrl.objectives.utils import KLAdaptiveLR
 
 
 class LinearSchedule:
@@ -66,3 +69,73 @@ class LinearSchedule:
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore the progress and set the coefficient that belongs to it."""
         self.step(state_dict["progress"])
+
+
+class DeviceKLAdaptiveLR(KLAdaptiveLR):
+    """TorchRL's :class:`~torchrl.objectives.utils.KLAdaptiveLR` that decides where the divergence is.
+
+    The rate is one tensor beside the parameters, shared by all parameter groups and changed in place: nothing waits for
+    a GPU, and a step can be part of a CUDA graph. A divergence that is not finite changes nothing.
+
+    Args:
+        optimizer (torch.optim.Optimizer): takes a tensor as its rate, as fused Adam does; one rate for all groups.
+        target_kl (float): may be changed between steps by assignment.
+        **bounds: ``factor``, ``min_lr`` and ``max_lr`` of :class:`~torchrl.objectives.utils.KLAdaptiveLR`.
+
+    Attributes:
+        rate (Tensor): the learning rate, a float32 scalar.
+
+    Examples:
+        >>> weight = torch.nn.Parameter(torch.zeros(1))
+        >>> schedule = DeviceKLAdaptiveLR(torch.optim.Adam([weight], lr=1e-3, fused=True), target_kl=0.01)
+        >>> schedule.step(torch.tensor(0.05))
+        >>> round(schedule.get_last_lr()[0], 6)
+        0.000667
+    """
+
+    def __init__(self, optimizer: torch.optim.Optimizer, target_kl: float, **bounds: float) -> None:
+        group = optimizer.param_groups[0]
+        device = group["params"][0].device
+        self.rate = torch.tensor(float(group["lr"]), dtype=torch.float32, device=device)
+        self._target = torch.zeros((), device=device)
+        super().__init__(optimizer, target_kl, **bounds)
+        self._share_rate()
+
+    @property
+    def target_kl(self) -> float:
+        """Desired divergence of an update."""
+        return self._target_kl
+
+    @target_kl.setter
+    def target_kl(self, value: float) -> None:
+        self._target_kl = float(value)
+        self._target.fill_(self._target_kl)
+
+    @torch.no_grad()
+    def step(self, kl: float | Tensor, hold: Tensor | None = None) -> None:
+        """Adapt the rate to the divergence of the last update.
+
+        Args:
+            kl (float or Tensor): a scalar.
+            hold (Tensor, optional): a bool scalar; where it is true the rate stays.
+        """
+        kl = torch.as_tensor(kl, device=self.rate.device)
+        slower = torch.where(kl > 2.0 * self._target, 1.0 / self.factor, 1.0)
+        faster = torch.where((kl > 0.0) & (kl < 0.5 * self._target), self.factor, 1.0)
+        adapted = (self.rate * slower * faster).clamp(self.min_lr, self.max_lr)
+        stays = ~kl.isfinite() if hold is None else hold | ~kl.isfinite()
+        self.rate.copy_(torch.where(stays, self.rate, adapted))
+
+    def exceeded(self, kl: Tensor, multiple: float) -> Tensor:
+        """Whether a divergence is more than so many times the target, a bool scalar where it is."""
+        return kl > multiple * self._target
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Restore a schedule; the rate is the one that the optimizer was restored to, before this."""
+        super().load_state_dict(state_dict)
+        self.rate.fill_(float(self.optimizer.param_groups[0]["lr"]))
+        self._share_rate()
+
+    def _share_rate(self) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.rate

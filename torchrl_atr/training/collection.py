@@ -21,6 +21,7 @@ from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._errors import UserError, first_line
 from torchrl_atr.envs.transforms import CommandCurriculum
+from torchrl_atr.modules import OnDevice
 from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 
 _DROPPED: tuple[Any, ...] = (("next", "history"), "reward_terms", "episode_reward", ("next", "command"))
@@ -86,13 +87,16 @@ class Collection:
         common: dict[str, Any] = {
             "frames_per_batch": config.frames_per_batch,
             "exploration_type": ExplorationType.RANDOM,
-            "policy_device": config.device,
+            "policy_device": config.device if self.remote else "cpu",
             "env_device": "cpu",
             "storing_device": "cpu",
             "postproc": _drop,
         }
         if not self.remote:
-            return Collector(self.env, self.policy, track_traj_ids=False, return_same_td=True, **_PLAIN, **common)
+            # OnDevice takes CPU data; as a module it would be copied to the CPU, as a function it stays where it is
+            policy = self.policy.forward if isinstance(self.policy, OnDevice) else self.policy
+            plain = {"track_traj_ids": False, "return_same_td": True, "trust_policy": True, **_PLAIN}
+            return Collector(self.env, policy, **plain, **common)
         threads = config.threads_each(config.workers)
         makers = [
             partial(

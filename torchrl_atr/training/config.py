@@ -237,6 +237,11 @@ class TrainConfig:
         """Whether policy and losses are compiled too: for a CPU alone, where it was measured."""
         return self.compiled and self.device == "cpu"
 
+    @property
+    def captures_graphs(self) -> bool:
+        """Whether optimiser steps are captured as CUDA graphs: what ``compiled`` is for a learner on a GPU."""
+        return self.compiled and self.device != "cpu"
+
     def threads_each(self, processes: int) -> int:
         """Physics threads of each of so many processes that share the CPUs."""
         return max(1, (self.num_threads or available_cpus()) // processes)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torchrl.data import SamplerWithoutReplacement, TensorDictReplayBuffer, TensorStorage
-from torchrl.objectives.utils import KLAdaptiveLR
 from torchrl.objectives.value import GAE
 
-from torchrl_atr._compilation import compile_methods
+from torchrl_atr._compilation import CudaGraph, compile_methods
 from torchrl_atr.modules import RidingNetworks
-from torchrl_atr.objectives import LinearSchedule, ROAClipPPOLoss, previous_means
+from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.guard import StepGuard
 
@@ -76,13 +73,20 @@ class Learner:
             "estimators": config.estimator_learning_rate,
         }
         self.optimizers = {
-            name: torch.optim.Adam(group, lr=rates[name], fused=True) for name, group in self._groups.items()
+            name: torch.optim.Adam(group, lr=rates[name], fused=True, capturable=config.captures_graphs)
+            for name, group in self._groups.items()
         }
-        self.schedule = KLAdaptiveLR(self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate)
+        self.schedule = DeviceKLAdaptiveLR(self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate)
+        self._first, self._too_far = torch.zeros(2, dtype=torch.bool, device=config.device)
+        self._steps = self._make_steps()
         self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa_coeff) if config.roa_ramp else None
         self._emphasis = 1.0
         self.guard = StepGuard()
         self.minibatch_size = -(-config.frames_per_batch // config.minibatches)
+
+    def _make_steps(self) -> dict[str, Callable[[TensorDictBase], TensorDictBase]]:
+        steps = {"policy": self._policy_step, "estimators": self._adaptation_step}
+        return {name: CudaGraph(step) for name, step in steps.items()} if self.config.captures_graphs else {**steps}
 
     def anneal(self, progress: float) -> None:
         """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ and the weight of r1.
@@ -122,16 +126,17 @@ class Learner:
             batch = self._emphasized(_moved(batch, torch.device(self.config.device)))
             batch = self.advantage(batch)
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
-            chatter = float((batch["loc"] - batch["previous_mean"]).square().mean().sqrt())
+            chatter = (batch["loc"] - batch["previous_mean"]).square().mean().sqrt()
         flat = batch.reshape(-1)
         if self.config.act_source == "privileged":
             self._record_latent_estimates(flat)
-        sampler = SamplerWithoutReplacement()
-        policy = self._average(self._policy_steps(self._replay(flat, self.loss.policy_in_keys, sampler)))
-        adaptation = self._average(self._adaptation_steps(self._replay(flat, self.loss.adaptation_in_keys, sampler)))
+        self._first.fill_(True)
+        self._too_far.fill_(False)
+        policy, adaptation = self._learn_policy(flat), self._learn_estimators(flat)
         self.networks.update_normalizers(flat)
-        rate, skipped = self.schedule.get_last_lr()[0], float(self.guard.skipped)
-        return {**policy, **adaptation, "learning_rate": rate, "skipped_steps": skipped, "chatter": chatter}
+        metrics = {**self._means("policy", policy), **self._means("estimators", adaptation)}  # the first look at them
+        metrics |= {"learning_rate": self.schedule.get_last_lr()[0], "chatter": float(chatter)}
+        return {**metrics, "skipped_steps": float(self.guard.skipped)}
 
     def _emphasized(self, batch: TensorDictBase) -> TensorDictBase:
         """The batch with rewards in which r1 counts as often as it does now; the terms stay Table III's."""
@@ -148,51 +153,60 @@ class Learner:
             parts = [module(part.select(*module.in_keys))[key] for part in flat.split(self.minibatch_size)]
         flat.set(key, torch.cat(parts))
 
-    def _replay(
-        self, flat: TensorDictBase, keys: list[NestedKey], sampler: SamplerWithoutReplacement
-    ) -> TensorDictReplayBuffer:
-        """Minibatches of those entries: most of a frame is history, which the policy's epochs do not read."""
-        view = TensorStorage(flat.select(*keys, strict=False), device=self.config.device)
-        return TensorDictReplayBuffer(storage=view, sampler=sampler, batch_size=self.minibatch_size)
+    def _learn_policy(self, flat: TensorDictBase) -> TensorDictBase:
+        return self._epochs("policy", flat, self.loss.policy_in_keys, self.config.epochs)
 
-    def _policy_steps(self, buffer: TensorDictReplayBuffer) -> Iterator[TensorDictBase]:
-        fresh = True  # nothing has moved yet: a divergence of zero says nothing about the step size
-        too_far = False  # from the policy that made the batch, which then has nothing more to say
-        for _ in range(self.config.epochs):
-            for minibatch in buffer:
-                if too_far:
-                    continue
-                terms = self.loss.policy_loss(minibatch)
-                divergence = float(_kl_divergence(terms))
-                if not fresh and math.isfinite(divergence):
-                    self.schedule.step(divergence)
-                fresh, too_far = False, divergence > _TOO_FAR * self.schedule.target_kl
-                if not too_far:
-                    self._step(terms, "policy", "critic")
-                yield terms
+    def _learn_estimators(self, flat: TensorDictBase) -> TensorDictBase:
+        return self._epochs("estimators", flat, self.loss.adaptation_in_keys, self.config.adaptation_epochs)
 
-    def _adaptation_steps(self, buffer: TensorDictReplayBuffer) -> Iterator[TensorDictBase]:
-        for _ in range(self.config.adaptation_epochs):
-            for minibatch in buffer:
-                terms = self.loss.adaptation_loss(minibatch)
-                self._step(terms, "estimators")
-                yield terms
+    def _epochs(self, name: str, flat: TensorDictBase, keys: list[NestedKey], epochs: int) -> TensorDictBase:
+        """Steps on shuffled minibatches of those entries: most of a frame is history, which the policy does not read.
 
-    def _step(self, terms: TensorDictBase, *names: str) -> None:
+        Returns:
+            What each step reports, (steps,), where it was computed: nothing waits for a GPU before all steps are under
+            way.
+        """
+        view, step = flat.select(*keys, strict=False), self._steps[name]
+        orders = [torch.randperm(len(view), device=view.device) for _ in range(epochs)]
+        return torch.stack([step(view[rows]) for order in orders for rows in order.split(self.minibatch_size)])
+
+    def _policy_step(self, minibatch: TensorDictBase) -> TensorDictBase:
+        """Adapts the rate to how far the policy has gone from the one that made the batch, and steps unless too far.
+
+        Before the first step nothing has moved: a divergence of zero says nothing about the rate. After one too many
+        the batch has nothing more to say.
+        """
+        terms = self.loss.policy_loss(minibatch)
+        divergence = _kl_divergence(terms)
+        self.schedule.step(divergence, hold=self._first | self._too_far)
+        self._first.fill_(False)
+        self._too_far.logical_or_(self.schedule.exceeded(divergence, _TOO_FAR))
+        return self._step(terms, ("policy", "critic"), self._too_far)
+
+    def _adaptation_step(self, minibatch: TensorDictBase) -> TensorDictBase:
+        return self._step(self.loss.adaptation_loss(minibatch), ("estimators",))
+
+    def _step(self, terms: TensorDictBase, names: tuple[str, ...], hold: Tensor | None = None) -> TensorDictBase:
+        """One optimiser step, left out where ``hold`` is true or something is not finite; detached terms, and which."""
         total = torch.stack([value for key, value in terms.items() if key.startswith("loss_")]).sum()
         for name in names:
             self.optimizers[name].zero_grad(set_to_none=True)
         total.backward()
         norms = {name: nn.utils.clip_grad_norm_(self._groups[name], self.config.max_grad_norm) for name in names}
-        if self.guard.admits(terms, norms):
-            for name in names:
-                self.optimizers[name].step()
+        finite = self.guard.finite(terms, norms)
+        left_out = ~torch.stack(list(finite.values())).all()
+        left_out = left_out if hold is None else left_out | hold
+        for name in names:
+            optimizer: Any = self.optimizers[name]
+            optimizer.found_inf = left_out.float()  # where a fused optimiser looks, on the device
+            optimizer.step()
+        return TensorDict({**terms.detach().apply(torch.mean).to_dict(), "finite": finite})
 
-    @staticmethod
-    def _average(steps: Iterator[TensorDictBase]) -> dict[str, float]:
-        terms = [step.detach().apply(torch.mean) for step in steps]
-        means = torch.stack([torch.stack(list(term.values())) for term in terms]).mean(0)
-        return dict(zip(map(str, terms[0].keys()), means.tolist()))  # one transfer
+    def _means(self, name: str, steps: TensorDictBase) -> dict[str, float]:
+        """Means of an iteration's terms, in one transfer for each term's name; raises if training has diverged."""
+        self.guard.review(name, steps["finite"])
+        terms = steps.exclude("finite").mean(0)
+        return dict(zip(map(str, terms.keys()), torch.stack(list(terms.values())).tolist()))
 
     def state_dict(self) -> dict[str, Any]:
         """Everything that training changes here: networks, optimisers, schedule."""
@@ -209,6 +223,9 @@ class Learner:
         self.networks.load_state_dict(state["networks"])
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(state["optimizers"][name])
+            for group in optimizer.param_groups:
+                group["capturable"] = self.config.captures_graphs  # as this run needs it, not the one before
+        self._steps = self._make_steps()  # graphs that were captured change tensors that are no longer read
         self.schedule.load_state_dict(state["schedule"])
         self.loss.roa_coeff = state["roa_coeff"]
         self.guard.skipped = state.get("skipped_steps", 0)
