@@ -83,7 +83,7 @@ def table(report: dict[str, Any]) -> str:
         seconds = " | ".join(f"{row[name]:.3f}" for name in ("collect_seconds", "learn_seconds"))
         lines.append(f"| {row['num_envs']} | {row['device']} | {row['frames_per_second']:,.0f} | {seconds} |")
     if all(row["device"] == "cpu" for row in report["rows"]):
-        lines += ["", "torch found no CUDA device there: nothing was measured on one."]
+        lines += ["", "Nothing was measured on a CUDA device there."]
     return "\n".join([*lines, ""])
 
 
@@ -115,9 +115,10 @@ def _compare(arguments: argparse.Namespace) -> None:
         finally:
             for loop in loops:
                 loop.close()
-    sizes, settings = " ".join(map(str, arguments.num_envs)), "".join(f" --set {text}" for text in arguments.overrides)
+    sizes, devices = " ".join(map(str, arguments.num_envs)), " ".join(arguments.devices)
+    settings = "".join(f" --set {text}" for text in arguments.overrides)
     report = {
-        "command": f"python -m benchmarks.devices --num-envs {sizes} --devices {' '.join(arguments.devices)} --rounds {arguments.rounds} "
+        "command": f"python -m benchmarks.devices --num-envs {sizes} --devices {devices} --rounds {arguments.rounds} "
         f"--seconds {arguments.seconds:g}{settings}",
         "rows": rows,
         "wall_seconds": round(time.monotonic() - started, 1),

@@ -9,9 +9,9 @@ import pytest
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_atr.modules import available_estimators, register_estimator
+from torchrl_atr.modules import OnDevice, available_estimators, register_estimator
 from torchrl_atr.modules.estimators import get_estimator
-from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
+from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, make_policy, member
 
 TINY = {"num_envs": 8, "rollout_steps": 8, "total_frames": 3 * 64, "num_threads": 1, "minibatches": 2, "epochs": 2}
 
@@ -62,6 +62,20 @@ def test_resume_goes_on_where_the_run_stopped(run):
     with (folder / "progress.csv").open() as file:
         assert [int(float(row["frames"])) for row in csv.DictReader(file)] == [64, 128, 192, 256, 320]
     assert load_checkpoint(folder)["frames"] == 320
+
+
+def test_a_run_goes_on_here_wherever_its_policy_was(tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(member, "make_policy", lambda *arguments: OnDevice(make_policy(*arguments), "cpu"))
+        Trainer(make_config({**TINY, "total_frames": 2 * 64}), tmp_path / "there").train()
+    Trainer(make_config({**TINY, "total_frames": 2 * 64}), tmp_path / "here").train()
+    ends = []
+    for name in ("there", "here"):
+        state = load_checkpoint(tmp_path / name)
+        Trainer(make_config({**state["config"], "total_frames": 3 * 64}), tmp_path / name, state).train()
+        ends.append(load_checkpoint(tmp_path / name)["learner"]["networks"])
+    for name, value in ends[0].items():
+        assert torch.equal(value, ends[1][name]), name
 
 
 @pytest.mark.parametrize("source", ["privileged", "estimated", "mixed"])

@@ -203,9 +203,10 @@ class Collection:
         self.collector._carrier.update(TensorDict(state["carried"], batch_size=base.batch_size))
 
     def _stateful(self) -> list[tuple[str, Any]]:
-        """Parts of the policy with a state that is no parameter: noise that runs on."""
+        """Parts of the policy with a state that is no parameter, noise that runs on, named alike wherever it runs."""
         plain = torch.nn.Module.get_extra_state
-        return [(name, part) for name, part in self.policy.named_modules() if type(part).get_extra_state is not plain]
+        policy = self.policy.module if isinstance(self.policy, OnDevice) else self.policy
+        return [(name, part) for name, part in policy.named_modules() if type(part).get_extra_state is not plain]
 
     def shutdown(self) -> None:
         """Ends the workers, whatever state they are in; this process's env stays open."""

@@ -50,7 +50,8 @@ class TrainConfig:
         device: of the learner; physics stays on the CPU.
         num_threads: physics threads; 0 for the CPUs this process may use.
         compiled: whether ``torch.compile`` makes few loops of what the task computes at every step and, where the
-            learner is on the CPU, of policy and losses; a resumed run is then the uninterrupted one to rounding.
+            learner is on the CPU, of policy and losses, and on a GPU makes CUDA graphs of policy and optimiser steps; a
+            resumed run is then the uninterrupted one to rounding.
         collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
             engine ``process``, ``ray`` or ``distributed``.
         workers: processes that share the robots and the CPUs.
