@@ -28,12 +28,10 @@ RANDOMIZED_FIELDS = (
     "dof_damping",
 )
 """Fields of the compiled model that differ between simulations."""
-_DIVERGED = [
-    int(mujoco.mjtWarning.mjWARN_BADQPOS),
-    int(mujoco.mjtWarning.mjWARN_BADQVEL),
-    int(mujoco.mjtWarning.mjWARN_BADQACC),
-    int(mujoco.mjtWarning.mjWARN_BADCTRL),
-]
+_WARNINGS = mujoco.mjtWarning
+_DIVERGED = columns(
+    np.array([_WARNINGS.mjWARN_BADQPOS, _WARNINGS.mjWARN_BADQVEL, _WARNINGS.mjWARN_BADQACC, _WARNINGS.mjWARN_BADCTRL])
+)
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,7 @@ class Engine(ABC):
         self.diverged = np.zeros(num_envs, dtype=bool)
         self._deck_mass = np.full(num_envs, scene.transporter.mass)
         self._scale = self.law.mass_scale(self._deck_mass)
-        self._planar_inertia = np.empty((num_envs, 3))
+        self._planar_inertia, self._planar_force = np.empty((2, num_envs, 3))
         self._refresh_deck(np.arange(num_envs), self._deck_mass)
 
     @abstractmethod
@@ -159,10 +157,15 @@ class Engine(ABC):
         """Evaluates the law at the current tilt and applies the force that realises it in one substep."""
         dt = TIMESTEP
         self.speeds = self.law(self.speeds, self.qpos[:, self._tilt], self._scale, dt)
-        speed, yaw_rate = self.speeds.T
+        (speed, yaw_rate), force = self.speeds.T, self._planar_force
         heading = self.qpos[:, self._heading] + dt * yaw_rate
-        target = np.stack([speed * np.cos(heading), speed * np.sin(heading), yaw_rate], axis=-1)  # Eq. 2
-        self.qfrc_applied[:, self._planar] = self._planar_inertia * (target - self.qvel[:, self._planar]) / dt
+        np.multiply(speed, np.cos(heading), out=force[:, 0])  # Eq. 2: first the velocity that is wanted
+        np.multiply(speed, np.sin(heading), out=force[:, 1])
+        force[:, 2] = yaw_rate
+        force -= self.qvel[:, self._planar]
+        force *= self._planar_inertia
+        force /= dt
+        self.qfrc_applied[:, self._planar] = force
 
     def driven_acceleration(self, rows: NDArray[np.int64] | slice) -> Array:
         """v̇ and α that the law gives ``rows`` at their present tilt and speeds, m/s² and rad/s², (n, 2)."""
