@@ -179,12 +179,12 @@ class RidingTask:
         Returns:
             Reward, terms, terminations and observations of all robots.
         """
-        diverged = torch.from_numpy(self.engine.diverged)
+        diverged = self.engine.diverged
         if diverged.any():  # what came before is no state to take differences to
-            self._reader.forget(diverged.nonzero().squeeze(-1).numpy())
+            self._reader.forget(diverged.nonzero()[0])
         before = self._reader.velocities, self._action, self.previous_action, self.odometry
         outcome, self._reader.velocities, self.odometry = self._assess(
-            self._reader.gather(), *before, command, self.x_int, diverged
+            self._reader.gather(), *before, command, self.x_int, torch.from_numpy(diverged)
         )
         self.previous_action = self._action
         self.steps, self.fell = self.steps + 1, outcome.terminated
@@ -261,8 +261,8 @@ class RidingTask:
     def _push(self) -> None:
         if self.pushes:
             steps = self.steps.numpy()
-            due = np.flatnonzero((steps % self._push_every == 0) & (steps > 0))
-            if len(due):
+            due = np.flatnonzero(steps % self._push_every == 0)
+            if len(due) and len(due := due[steps[due] > 0]):
                 disturbances.push(self.engine, due, self.rng)
 
     def get_state(self) -> dict[str, Tensor]:

@@ -215,4 +215,4 @@ class StateReader:
 
 
 def _float(array: NDArray[np.float64]) -> Tensor:
-    return torch.tensor(array, dtype=torch.float32)
+    return torch.from_numpy(array.astype(np.float32, order="C"))  # half of what torch.tensor takes
