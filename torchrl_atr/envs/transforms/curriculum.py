@@ -189,18 +189,18 @@ class CommandCurriculum(Transform):
                     f"rest_key {self.rest_key!r} is not in the reset; {_similar(self.rest_key, tensordict_reset)}"
                 )
             moving = (rest != 0).reshape(-1, rest.shape[-1]).any(-1)
-            self.rows.cells = self.rows.cells.masked_fill(self._started & moving.to(self._started.device), -1)
+            self.rows.cells.masked_fill_(self._started & moving.to(self._started.device), -1)
         return tensordict_reset.set(self.command_key, self.command)
 
     @torch.no_grad()
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         command = self.command  # raises before the first reset
-        scores = self._scores(next_tensordict)
-        self.rows.elapsed += 1
+        scores, rows = self._scores(next_tensordict), self.rows
+        elapsed = rows.elapsed.add_(1)
         if self.score_from:
-            scores = scores.masked_fill((self.rows.elapsed <= self.score_from)[:, None], 0)
-        self.rows.sums += scores
-        due = self.rows.elapsed >= self.window
+            scores = scores.masked_fill((elapsed <= self.score_from)[:, None], 0)
+        rows.sums.add_(scores)
+        due = elapsed >= self.window
         if due.any():
             self._close_windows(due, next_tensordict)
             command = self.command
@@ -259,7 +259,8 @@ class CommandCurriculum(Transform):
             raise RuntimeError("CommandCurriculum is not attached; use TransformedEnv(env, CommandCurriculum(...))")
         batch = self.parent.batch_size
         if self.rows.batch == batch:
-            self.rows.to(self.weights.device)  # after a load from another device
+            if self.rows.cells.device != self.weights.device:  # after a load from another device
+                self.rows.to(self.weights.device)
             return False
         spec = self.parent.full_state_spec
         known = self.command_key in spec.keys(True, True)

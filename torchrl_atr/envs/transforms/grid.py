@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -158,10 +159,8 @@ class CommandGrid:
 
     def _edges(self, cells: Tensor) -> tuple[Tensor, Tensor]:
         """Lowest and highest command of each cell, cut at the bounds: two float64 ``(*B, 2)``."""
-        centres = self.centres(cells)
-        reach = torch.tensor(self.bin_size, dtype=torch.float64, device=cells.device) / 2
-        bound = torch.tensor(self.bounds, dtype=torch.float64, device=cells.device)
-        return torch.maximum(centres - reach, -bound), torch.minimum(centres + reach, bound)
+        low, high = _all_edges(self, cells.device)
+        return low[cells], high[cells]
 
     def sample(self, weights: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
         """Draw commands: a cell with probability proportional to its weight, then uniformly inside the cell.
@@ -218,3 +217,12 @@ class CommandGrid:
         low, high = self._edges((weights.reshape(-1) > 0).nonzero()[:, 0])
         reach = torch.maximum(low.abs(), high.abs()).amax(0)
         return round(float(reach[0]), 9), round(float(reach[1]), 9)
+
+
+@cache
+def _all_edges(grid: CommandGrid, device: torch.device) -> tuple[Tensor, Tensor]:
+    """Lowest and highest command of all cells: commands are drawn at most steps of many robots."""
+    centres = grid.centres(torch.arange(math.prod(grid.shape), device=device))
+    reach = torch.tensor(grid.bin_size, dtype=torch.float64, device=device) / 2
+    bound = torch.tensor(grid.bounds, dtype=torch.float64, device=device)
+    return torch.maximum(centres - reach, -bound), torch.minimum(centres + reach, bound)
