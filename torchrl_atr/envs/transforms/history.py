@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 import torch
@@ -38,7 +38,7 @@ class ObservationHistory(Transform):
         10
     """
 
-    _frames: Tensor | None
+    _reel: Tensor | None
 
     def __init__(
         self,
@@ -52,24 +52,30 @@ class ObservationHistory(Transform):
         super().__init__(in_keys=[in_key], out_keys=[out_key])
         self.length = int(length)
         self.include_current = include_current
-        # o_{t-H} ... o_t, (*B, H + 1, D). Never written in place: the emitted histories are views of it.
-        self.register_buffer("_frames", None, persistent=False)
+        # Frames, o_{t-H} ... o_t the last ones before _end, and room for more, (*B, 2 H + 2, D). Each is written once:
+        # the emitted histories are views, and to move all frames at every step takes longer than all else here.
+        self.register_buffer("_reel", None, persistent=False)
+        self._end = 0
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         first = self._observation(tensordict_reset)
         shape = (*first.shape[:-2], self.length + 1, first.shape[-1])
         mask = tensordict.get("_reset", None)
-        if mask is None or self._frames is None or self._frames.shape != shape:
-            self._frames = first.expand(shape).clone()
+        before = self._frames
+        if mask is None or before is None or before.shape != shape:
+            self._new_reel(first, shape)
         else:
-            self._frames = torch.where(mask.reshape(*shape[:-2], 1, 1), first, self._frames)
+            self._new_reel(torch.where(mask.reshape(*shape[:-2], 1, 1), first, before), shape)
         return self._emit(tensordict_reset)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        if self._frames is None:
+        before = self._frames
+        if before is None or self._reel is None:
             raise RuntimeError("ObservationHistory has no history before the first reset; call env.reset() first")
-        newest = self._observation(next_tensordict)
-        self._frames = torch.cat([self._frames[..., 1:, :], newest], -2)
+        if self._end == self._reel.shape[-2]:
+            self._new_reel(before, before.shape)
+        self._reel[..., self._end : self._end + 1, :] = self._observation(next_tensordict)
+        self._end += 1
         return self._emit(next_tensordict)
 
     def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
@@ -93,14 +99,34 @@ class ObservationHistory(Transform):
         observation_spec[self.out_keys[0]] = frame.unsqueeze(-2).expand(shape)
         return observation_spec
 
+    def clone(self) -> ObservationHistory:
+        """A copy without parent, with frames of its own."""
+        other = super().clone()
+        other.set_extra_state(self.get_extra_state())
+        return other
+
     def get_extra_state(self) -> dict[str, Any]:
         """The frames, ``(*B, H + 1, D)``, or None before the first reset."""
-        return {"frames": self._frames}
+        frames = self._frames
+        return {"frames": None if frames is None else frames.clone()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`; frames of another shape are dropped at the next reset."""
         frames, device = state["frames"], self.parent.device if self.parent is not None else None
-        self._frames = frames if frames is None else frames.to(device or frames.device, copy=True)
+        self._reel, self._end = None, 0
+        if frames is not None:
+            self._new_reel(frames.to(device or frames.device), frames.shape)
+
+    @property
+    def _frames(self) -> Tensor | None:
+        """o_{t-H} ... o_t, (*B, H + 1, D); None before the first reset."""
+        return None if self._reel is None else self._reel[..., self._end - self.length - 1 : self._end, :]
+
+    def _new_reel(self, frames: Tensor, shape: Sequence[int]) -> None:
+        """Begin a reel with ``frames``, expanded to ``shape``, (*B, H + 1, D)."""
+        reel, self._end = frames.new_empty(*shape[:-2], 2 * shape[-2], shape[-1]), shape[-2]
+        reel[..., : self._end, :] = frames
+        self._reel = reel
 
     def _observation(self, tensordict: TensorDictBase) -> Tensor:
         observation = tensordict.get(self.in_keys[0], None)
@@ -113,6 +139,7 @@ class ObservationHistory(Transform):
         return f"observation {self.in_keys[0]!r} is not among the env's entries {known}; name one of these as in_key"
 
     def _emit(self, tensordict: TensorDictBase) -> TensorDictBase:
-        assert self._frames is not None
-        shown = self._frames[..., 1:, :] if self.include_current else self._frames[..., :-1, :]
+        end = self._end if self.include_current else self._end - 1
+        assert self._reel is not None
+        shown = self._reel[..., end - self.length : end, :]
         return tensordict.set(self.out_keys[0], shown)
