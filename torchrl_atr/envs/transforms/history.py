@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any, NoReturn
 
 import torch
@@ -63,19 +63,22 @@ class ObservationHistory(Transform):
         mask = tensordict.get("_reset", None)
         before = self._frames
         if mask is None or before is None or before.shape != shape:
-            self._new_reel(first, shape)
+            self._new_reel(first.expand(shape))
         else:
-            self._new_reel(torch.where(mask.reshape(*shape[:-2], 1, 1), first, before), shape)
+            self._new_reel(torch.where(mask.reshape(*shape[:-2], 1, 1), first, before))
         return self._emit(tensordict_reset)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         before = self._frames
         if before is None or self._reel is None:
             raise RuntimeError("ObservationHistory has no history before the first reset; call env.reset() first")
-        if self._end == self._reel.shape[-2]:
-            self._new_reel(before, before.shape)
-        self._reel[..., self._end : self._end + 1, :] = self._observation(next_tensordict)
-        self._end += 1
+        newest = self._observation(next_tensordict)
+        if newest.requires_grad or self._reel.is_inference() or self._end == self._reel.shape[-2]:
+            self._new_reel(torch.cat([before[..., 1:, :], newest], -2))
+        else:
+            # data: what autograd keeps of the earlier frames has not changed
+            self._reel.data[..., self._end : self._end + 1, :] = newest
+            self._end += 1
         return self._emit(next_tensordict)
 
     def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
@@ -115,18 +118,19 @@ class ObservationHistory(Transform):
         frames, device = state["frames"], self.parent.device if self.parent is not None else None
         self._reel, self._end = None, 0
         if frames is not None:
-            self._new_reel(frames.to(device or frames.device), frames.shape)
+            self._new_reel(frames.to(device or frames.device, copy=True))
 
     @property
     def _frames(self) -> Tensor | None:
         """o_{t-H} ... o_t, (*B, H + 1, D); None before the first reset."""
         return None if self._reel is None else self._reel[..., self._end - self.length - 1 : self._end, :]
 
-    def _new_reel(self, frames: Tensor, shape: Sequence[int]) -> None:
-        """Begin a reel with ``frames``, expanded to ``shape``, (*B, H + 1, D)."""
-        reel, self._end = frames.new_empty(*shape[:-2], 2 * shape[-2], shape[-1]), shape[-2]
-        reel[..., : self._end, :] = frames
-        self._reel = reel
+    def _new_reel(self, frames: Tensor) -> None:
+        """Begin a reel with o_{t-H} ... o_t, (*B, H + 1, D), and room for as many more unless a graph holds them."""
+        self._reel, self._end = frames, frames.shape[-2]
+        if not frames.requires_grad:
+            self._reel = frames.new_empty(*frames.shape[:-2], 2 * self._end, frames.shape[-1])
+            self._reel[..., : self._end, :] = frames
 
     def _observation(self, tensordict: TensorDictBase) -> Tensor:
         observation = tensordict.get(self.in_keys[0], None)
