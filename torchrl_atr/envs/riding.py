@@ -195,7 +195,7 @@ class RidingEnv(EnvBase):
             fresh = self.task.begin(index.numpy(), self._command(tensordict)[index])
             for key, value in fresh.items():
                 self._emitted[key] = self._emitted[key].index_copy(0, index, value)
-        return self._pack(self._emitted, terminated=torch.zeros(n, dtype=torch.bool), terms=None)
+        return self._pack(terminated=torch.zeros(n, dtype=torch.bool))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         command = self._command(tensordict)
@@ -209,7 +209,7 @@ class RidingEnv(EnvBase):
         outcome = self.task.judge(command)
         self._emitted = outcome.observed
         self._contain(outcome)
-        return self._pack(self._emitted, outcome.terminated, outcome.terms).set("reward", outcome.reward)
+        return self._pack(outcome.terminated, outcome.terms, reward=outcome.reward)
 
     def _contain(self, outcome: Outcome) -> None:
         """Ends the episodes of robots that failed; where what they observe is no number, it is zero."""
@@ -242,7 +242,8 @@ class RidingEnv(EnvBase):
             raise ValueError(f"'command' is not finite for env ids {bad[:8]}; give m/s and rad/s")
         return command.to(torch.float32)
 
-    def _pack(self, observed: dict[Any, Tensor], terminated: Tensor, terms: dict[str, Tensor] | None) -> TensorDict:
+    def _pack(self, terminated: Tensor, terms: dict[str, Tensor] | None = None, **more: Tensor) -> TensorDict:
+        """What was observed last, with reward terms (None for zero), flags and ``more``."""
         terminated, names = terminated.unsqueeze(-1), rewards.REWARD_TERMS
         terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape).unbind()))
         flags = {
@@ -250,7 +251,7 @@ class RidingEnv(EnvBase):
             "truncated": torch.zeros_like(terminated),
             "done": terminated.clone(),
         }
-        entries = {**_nested(observed), "reward_terms": terms, **flags}
+        entries = {**_nested(self._emitted), "reward_terms": terms, **flags, **more}
         return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
     def get_state(self) -> TensorDict:

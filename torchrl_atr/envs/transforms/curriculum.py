@@ -292,8 +292,8 @@ class CommandCurriculum(Transform):
             # drawn on the CPU: the same commands on every device
             uniforms = torch.rand(len(index), 1 + len(self.grid.bounds), generator=self._generator, dtype=torch.float64)
             commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
-            self.rows.command[index] = commands.to(self.rows.command.dtype)
-            self.rows.cells[index] = cells
+            self.rows.command.index_copy_(0, index, commands.to(self.rows.command.dtype))
+            self.rows.cells.index_copy_(0, index, cells)
 
 
 def _similar(key: NestedKey, tensordict: TensorDictBase) -> str:
