@@ -28,6 +28,17 @@ def test_what_is_compiled_for_one_object_is_not_searched_by_another():
     assert [step(torch.zeros(())).item() for step in steps] == [1, 2, 3]
 
 
+@pytest.mark.skipif(compiler() is None, reason="no C++ compiler on PATH")
+def test_any_number_of_rows_is_compiled_once_and_other_sizes_stay_fixed():
+    torch._dynamo.utils.counters.clear()
+    double = compile_function(lambda pair, offset: [2 * part[:, 1:] + offset for part in pair], any_rows=True)
+    for rows in (6, 3, 2, 5):
+        first, second = torch.rand(rows, 3), torch.rand(rows, 2)
+        got = double((first, second), torch.ones(rows, 1))
+        torch.testing.assert_close(got, [2 * first[:, 1:] + 1, 2 * second[:, 1:] + 1])
+    assert torch._dynamo.utils.counters["stats"]["unique_graphs"] == 1
+
+
 @on_gpu
 def test_a_captured_step_counts_on_with_any_number_of_rows_and_gives_tensors_of_its_own():
     total, calls, given = torch.zeros((), device="cuda"), [], []

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
+from torch.utils._pytree import tree_leaves
 
 from torchrl_atr._errors import InputError, first_line
 
@@ -20,7 +21,7 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CXX") or ("clang++" if sys.platform == "darwin" else "g++"))
 
 
-def compile_function(function: Callable[..., Any], dynamic: bool | None = None) -> Callable[..., Any]:
+def compile_function(function: Callable[..., Any], any_rows: bool = False) -> Callable[..., Any]:
     """``function``, compiled at its first call, which takes half a minute; what it calls must be traceable by torch.
 
     torch keeps the result on disk for the next process. Other shapes or another number of torch threads are compiled
@@ -29,7 +30,8 @@ def compile_function(function: Callable[..., Any], dynamic: bool | None = None) 
     Args:
         function: a function or method of tensors, and of what does not change: nobody looks whether it did, which would
             take a third of a millisecond a call.
-        dynamic: whether it is compiled for any number of rows, or one, at once.
+        any_rows: whether it is compiled at once for any number of rows, the first dimension of its tensors, above one.
+            torch's ``dynamic=True`` lets all other sizes and the bounds of slices vary too, and takes twice as long.
 
     Raises:
         InputError: if there is no C++ compiler, which torch needs for code on a CPU.
@@ -40,7 +42,22 @@ def compile_function(function: Callable[..., Any], dynamic: bool | None = None) 
             "install them, or do without"
         )
     unchecked: dict[str, Any] = {"guard_filter_fn": torch.compiler.keep_portable_guards_unsafe}
-    return torch.compile(_own(function), dynamic=dynamic, options=unchecked)
+    compiled = torch.compile(_own(function), options=unchecked)
+    return _with_any_rows(compiled) if any_rows else compiled
+
+
+def _with_any_rows(compiled: Callable[..., Any]) -> Callable[..., Any]:
+    known = False
+
+    def call(*arguments: Any) -> Any:
+        nonlocal known
+        if not known:
+            for value in tree_leaves(arguments):
+                torch._dynamo.maybe_mark_dynamic(value, 0)
+            known = True
+        return compiled(*arguments)
+
+    return call
 
 
 def compile_methods(owner: object, *names: str) -> None:

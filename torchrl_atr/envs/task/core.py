@@ -103,7 +103,7 @@ class RidingTask:
         self._assess, self._open = self._assess_eagerly, self._open_eagerly
         if compiled:
             self._assess = compile_function(self._assess_eagerly)
-            self._open = compile_function(self._open_eagerly, dynamic=True)  # any number of robots begins
+            self._open = compile_function(self._open_eagerly, any_rows=True)  # any number of robots begins
         self.begin(np.arange(n))
 
     @torch.no_grad()
