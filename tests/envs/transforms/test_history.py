@@ -103,6 +103,58 @@ def test_emitted_histories_are_never_rewritten():
     assert all(torch.equal(now, then) for now, then in kept)
 
 
+def observed(value, grad=False):
+    return TensorDict({"observation": torch.full((2, 1), float(value), requires_grad=grad)}, [2])
+
+
+def ridden(history, values, start=0.0):
+    """The histories of a reset and of steps with these observations, without an env."""
+    data = [history._reset(TensorDict({}, [2]), observed(start))]
+    for value in values:
+        data.append(history._step(data[-1], observed(value)))
+    return data
+
+
+def test_graphs_of_emitted_histories_can_be_walked_back_later():
+    weight = torch.ones(3, requires_grad=True)
+    data = ridden(ObservationHistory(3), range(1, 9))
+    total = sum((step["history"][0, :, 0] * weight).sum() for step in data)
+    total.backward()
+    # o_{t-3}, o_{t-2}, o_{t-1} of t = 0 ... 8, o_0 = 0 in front
+    assert weight.grad.tolist() == [sum(range(6)), sum(range(7)), sum(range(8))]
+
+
+def test_gradients_reach_observations_that_carry_them():
+    history = ObservationHistory(3)
+    data, total = history._reset(TensorDict({}, [2]), observed(0)), 0.0
+    inputs = [observed(value, grad=True) for value in range(1, 6)]
+    for step in inputs:
+        data = history._step(data, step.copy())
+        total = total + data["history"].sum()
+    total.backward()
+    counts = [step["observation"].grad for step in inputs]
+    assert [count[0, 0].item() if count is not None else 0.0 for count in counts] == [3, 3, 2, 1, 0]
+
+
+def test_what_began_in_inference_mode_goes_on_outside():
+    history = ObservationHistory(3)
+    with torch.inference_mode():
+        data = ridden(history, [1.0])[-1]
+    for value in range(2, 6):
+        data = history._step(data, observed(value))
+    assert data["history"][0, :, 0].tolist() == [2, 3, 4]
+
+
+def test_a_clone_has_frames_of_its_own():
+    history = ObservationHistory(3)
+    data = ridden(history, range(1, 4))[-1]
+    twin = history.clone()
+    for value in range(4, 12):
+        ours, theirs = history._step(data, observed(value)), twin._step(data, observed(-value))
+        assert ours["history"][0, -1, 0] == (value - 1 if value > 4 else 3)
+        assert theirs["history"][0, -1, 0] == (1 - value if value > 4 else 3)
+
+
 def test_dtype_and_keys():
     env = make((2,)).append_transform(ObservationHistory(2, in_key="command", out_key=("past", "command")))
     env.append_transform(ObservationHistory(2, in_key=("reward_terms", "forward_command"), out_key="scores"))

@@ -12,6 +12,9 @@ from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs.transforms import Transform
 
+_ROOM = 4
+"""Steps that a reel lasts. With many robots some begin anew at nearly every step, which takes a new one anyway."""
+
 
 class ObservationHistory(Transform):
     """Writes the ``length`` observations before the current one, oldest first, of this episode only.
@@ -52,8 +55,8 @@ class ObservationHistory(Transform):
         super().__init__(in_keys=[in_key], out_keys=[out_key])
         self.length = int(length)
         self.include_current = include_current
-        # Frames, o_{t-H} ... o_t the last ones before _end, and room for more, (*B, 2 H + 2, D). Each is written once:
-        # the emitted histories are views, and to move all frames at every step takes longer than all else here.
+        # Frames, o_{t-H} ... o_t the last ones before _end, and room for more, (*B, H + 1 + _ROOM, D). Each is written
+        # once: the emitted histories are views, and to move all frames at every step takes longer than all else here.
         self.register_buffer("_reel", None, persistent=False)
         self._end = 0
 
@@ -126,10 +129,10 @@ class ObservationHistory(Transform):
         return None if self._reel is None else self._reel[..., self._end - self.length - 1 : self._end, :]
 
     def _new_reel(self, frames: Tensor) -> None:
-        """Begin a reel with o_{t-H} ... o_t, (*B, H + 1, D), and room for as many more unless a graph holds them."""
+        """Begin a reel with o_{t-H} ... o_t, (*B, H + 1, D), and room for more unless a graph holds them."""
         self._reel, self._end = frames, frames.shape[-2]
         if not frames.requires_grad:
-            self._reel = frames.new_empty(*frames.shape[:-2], 2 * self._end, frames.shape[-1])
+            self._reel = frames.new_empty(*frames.shape[:-2], self._end + _ROOM, frames.shape[-1])
             self._reel[..., : self._end, :] = frames
 
     def _observation(self, tensordict: TensorDictBase) -> Tensor:
