@@ -136,7 +136,7 @@ class Learner:
         self._too_far.fill_(False)
         policy, adaptation = self._learn_policy(shuffled), self._learn_estimators(shuffled)
         self.networks.update_normalizers(flat)
-        metrics = {**self._means("policy", policy), **self._means("estimators", adaptation)}  # the first look at them
+        metrics = {**self._means("policy", policy), **self._means("estimators", adaptation)}
         metrics |= {"learning_rate": self.schedule.get_last_lr()[0], "chatter": float(chatter)}
         return {**metrics, "skipped_steps": float(self.guard.skipped)}
 
@@ -211,7 +211,7 @@ class Learner:
         return TensorDict({**terms.detach().apply(torch.mean).to_dict(), "finite": finite})
 
     def _means(self, name: str, steps: TensorDictBase) -> dict[str, float]:
-        """Means of an iteration's terms, in one transfer for each term's name; raises if training has diverged."""
+        """Means of an iteration's terms, and its steps reviewed: here a GPU is waited for."""
         self.guard.review(name, steps["finite"])
         terms = steps.exclude("finite").mean(0)
         return dict(zip(map(str, terms.keys()), torch.stack(list(terms.values())).tolist()))
