@@ -11,7 +11,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_atr.modules import OnDevice, available_estimators, register_estimator
 from torchrl_atr.modules.estimators import get_estimator
-from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, make_policy, member
+from torchrl_atr.training import Trainer, collection, load_checkpoint, load_run, make_config
 
 TINY = {"num_envs": 8, "rollout_steps": 8, "total_frames": 3 * 64, "num_threads": 1, "minibatches": 2, "epochs": 2}
 
@@ -66,7 +66,7 @@ def test_resume_goes_on_where_the_run_stopped(run):
 
 def test_a_run_goes_on_here_wherever_its_policy_was(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(member, "make_policy", lambda *arguments: OnDevice(make_policy(*arguments), "cpu"))
+        patch.setattr(collection, "_for_cpu_data", lambda policy, _: OnDevice(policy, "cpu").forward)
         Trainer(make_config({**TINY, "total_frames": 2 * 64}), tmp_path / "there").train()
     Trainer(make_config({**TINY, "total_frames": 2 * 64}), tmp_path / "here").train()
     ends = []

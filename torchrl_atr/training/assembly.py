@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from tensordict.nn import TensorDictModuleBase
+from tensordict.nn import TensorDictSequential
 from torchrl.envs import TransformedEnv
 
 from torchrl_atr._compilation import compile_methods
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.modules import NetworkKeys, OnDevice, RidingNetworks, correlate, leg_synergies, make_networks
+from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.restoring import load_networks, run_config
@@ -85,18 +85,12 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
     )
 
 
-def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictModuleBase:
-    """The policy that a run collects with; it shares the networks.
-
-    For an env of this process it takes and gives CPU data, wherever the learner is; workers move theirs themselves.
-    """
+def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
+    """The policy that a run collects with; it shares the networks."""
     actor = networks.rollout_policy(config.act_source, config.student_fraction)
     if config.compiles_networks and config.collector == "direct":  # what is compiled cannot be sent to workers
         compile_methods(actor.module[0], "forward")
-    policy = correlate(actor, config.noise_correlation)
-    if config.device == "cpu" or config.collector != "direct":
-        return policy
-    return OnDevice(policy, config.device, captured=config.captures_graphs)
+    return correlate(actor, config.noise_correlation)
 
 
 def load_run(

@@ -93,10 +93,8 @@ class Collection:
             "postproc": _drop,
         }
         if not self.remote:
-            # OnDevice takes CPU data; as a module it would be copied to the CPU, as a function it stays where it is
-            policy = self.policy.forward if isinstance(self.policy, OnDevice) else self.policy
             plain = {"track_traj_ids": False, "return_same_td": True, "trust_policy": True, **_PLAIN}
-            return Collector(self.env, policy, **plain, **common)
+            return Collector(self.env, _for_cpu_data(self.policy, config), **plain, **common)
         threads = config.threads_each(config.workers)
         makers = [
             partial(
@@ -203,10 +201,9 @@ class Collection:
         self.collector._carrier.update(TensorDict(state["carried"], batch_size=base.batch_size))
 
     def _stateful(self) -> list[tuple[str, Any]]:
-        """Parts of the policy with a state that is no parameter, noise that runs on, named alike wherever it runs."""
+        """Parts of the policy with a state that is no parameter: noise that runs on."""
         plain = torch.nn.Module.get_extra_state
-        policy = self.policy.module if isinstance(self.policy, OnDevice) else self.policy
-        return [(name, part) for name, part in policy.named_modules() if type(part).get_extra_state is not plain]
+        return [(name, part) for name, part in self.policy.named_modules() if type(part).get_extra_state is not plain]
 
     def shutdown(self) -> None:
         """Ends the workers, whatever state they are in; this process's env stays open."""
@@ -226,6 +223,11 @@ class Collection:
                     process.join()
             if torch.distributed.is_initialized():
                 torch.distributed.destroy_process_group()
+
+
+def _for_cpu_data(policy: TensorDictModuleBase, config: TrainConfig) -> Callable[[TensorDictBase], TensorDictBase]:
+    """What a collector of this process calls, wherever the policy is; as a module it would be copied to the CPU."""
+    return policy if config.device == "cpu" else OnDevice(policy, config.device, config.captures_graphs).forward
 
 
 def _engine(config: TrainConfig, threads: int) -> dict[str, Any]:

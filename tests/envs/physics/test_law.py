@@ -54,7 +54,7 @@ def test_steady_yaw_rate_has_the_sign_of_eq_3(pitch, roll):
 
 def test_drive_peaks_at_twelve_and_three_and_saturates():
     for tilt in (0.78, 1.2):
-        forward, yaw = drive(np.array([tilt]), np.array([-tilt]), DECK, Readings())
+        forward, yaw = drive(np.array([[tilt, -tilt]]), DECK, Readings()).T
         assert (forward[0], yaw[0]) == pytest.approx((12.0, 3.0))
 
 
@@ -79,7 +79,7 @@ def test_two_boards_steer_by_half_their_difference():
 
 
 def test_sign_of_zero_pitch_is_one():
-    assert drive(np.zeros(1), np.array([-0.78]), DECK, Readings())[1][0] == pytest.approx(3.0)
+    assert drive(np.array([[0.0, -0.78]]), DECK, Readings())[0, 1] == pytest.approx(3.0)
 
 
 def test_mirrored_tilts_and_speeds_mirror_the_motion():
@@ -129,7 +129,7 @@ def test_smoothed_coulomb_term_grows_from_zero():
 
 
 def test_smoothed_steering_sign_vanishes_at_zero_pitch():
-    yaw = drive(np.array([0.0, 0.05]), np.full(2, -0.78), DECK, Readings(steering_smoothing=0.05))[1]
+    yaw = drive(np.array([[0.0, -0.78], [0.05, -0.78]]), DECK, Readings(steering_smoothing=0.05))[:, 1]
     assert yaw == pytest.approx([0.0, 3.0 * np.tanh(1.0)])
 
 

@@ -38,25 +38,18 @@ def resistance(x: Array, coefficients: tuple[float, float, float], readings: Rea
     return magnitude * (np.tanh(x / smoothing) if smoothing else np.sign(x))
 
 
-def drive(forward_tilt: Array, steering_tilt: Array, deck: TransporterSpec, readings: Readings) -> tuple[Array, Array]:
+def drive(tilt: Array, deck: TransporterSpec, readings: Readings) -> Array:
     """The propulsion of Eqs. 1 and 3 before resistance: (m/s², rad/s²) for a deck of unit relative mass.
 
     Args:
-        forward_tilt: θ_y (or θ_avg), rad.
-        steering_tilt: θ_x (or θ_dif), rad.
+        tilt: forward tilt θ_y (or θ_avg) and steering tilt θ_x (or θ_dif), rad, (N, 2).
         deck: its drive limits.
         readings: ``steering_smoothing`` (A11).
 
     Returns:
         Forward drive v̇max clip(θ_y/θnp) and yaw drive αmax sgn(θ_y) clip(-θ_x/θnp), with sgn(0) = 1 as the
-        paper says.
+        paper says, (N, 2).
     """
-    forward, yaw = _pushes(np.stack([forward_tilt, steering_tilt], axis=-1), deck, readings).T
-    return forward, yaw
-
-
-def _pushes(tilt: Array, deck: TransporterSpec, readings: Readings) -> Array:
-    """:func:`drive` of forward and steering tilt, from (N, 2) to (N, 2): half as many operations."""
     smoothing = readings.steering_smoothing
     forward = tilt[..., 0]
     sign = np.tanh(forward / smoothing) if smoothing else np.copysign(1.0, forward + 0.0)  # sgn(-0) = 1, too
@@ -140,5 +133,5 @@ class DriveLaw:
             scale: from :meth:`mass_scale`, shape (N, 2).
             dt: substep, s.
         """
-        pushes = _pushes(tilt @ self._driving, self.deck, self.readings)
+        pushes = drive(tilt @ self._driving, self.deck, self.readings)
         return advance(speeds, pushes, self.deck.resistance, scale, dt, self.readings)

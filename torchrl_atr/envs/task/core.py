@@ -261,8 +261,8 @@ class RidingTask:
     def _push(self) -> None:
         if self.pushes:
             steps = self.steps.numpy()
-            due = np.flatnonzero(steps % self._push_every == 0)
-            if len(due) and len(due := due[steps[due] > 0]):
+            due = np.flatnonzero((steps % self._push_every == 0) & (steps > 0))
+            if len(due):
                 disturbances.push(self.engine, due, self.rng)
 
     def get_state(self) -> dict[str, Tensor]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -27,7 +26,7 @@ def bad_rows(value: Tensor) -> list[int]:
         >>> bad_rows(torch.tensor([[1.0], [float("nan")]])), bad_rows(torch.full((2, 3), 3e38))  # whose sum overflows
         ([1], [])
     """
-    return [] if math.isfinite(value.sum().item()) else list(not_finite({"": value}))
+    return [] if all_finite([value]) else list(not_finite({"": value}))
 
 
 def not_finite(values: Mapping[Any, Tensor]) -> dict[int, str]:
