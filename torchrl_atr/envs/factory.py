@@ -35,7 +35,7 @@ def make_riding_env(
     compiled: bool = False,
     history_length: int = 10,
     max_steps: int = 1000,
-    stagger: bool = False,
+    stagger: int = 0,
     window: int = 250,
     grid: CommandGrid | None = None,
     runaway_margin: tuple[float, float] | None = None,
@@ -59,7 +59,8 @@ def make_riding_env(
         compiled: see :class:`RidingEnv`.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
-        stagger: whether the robots' first episodes end at different times (for training).
+        stagger: if positive, the robots' first episodes end at different times, and the limit is looked at in every so
+            many steps (for training): see :class:`~torchrl_atr.envs.transforms.StaggeredCounter`.
         window: control steps that a command lasts (5 s at 50 Hz).
         grid: the curriculum's cells and update rule; None for the paper's.
         runaway_margin: end episodes of transporters faster than any command by this much, m/s and rad/s (for training).

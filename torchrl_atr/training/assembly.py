@@ -17,7 +17,7 @@ from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.restoring import load_networks, run_config
 
-_TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": False}
+_TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": 0}
 """Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
 DEPLOYED: dict[str, Any] = {
     **_TO_LOOK_AT,
@@ -51,7 +51,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "retry": config.retry,
         "history_length": config.history_length,
         "max_steps": round(config.episode_seconds / CONTROL_DT),
-        "stagger": True,
+        "stagger": config.rollout_steps,
         "window": round(config.command_seconds / CONTROL_DT),
         "thresholds": (config.tracking_threshold,) * 2,
         "score_from": round(config.score_from_seconds / CONTROL_DT),

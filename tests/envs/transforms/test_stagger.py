@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from torchrl.envs import SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
@@ -12,9 +13,14 @@ from torchrl_atr.envs.transforms import StaggeredCounter
 LIMIT, ENVS = 10, 64
 
 
-def env() -> TransformedEnv:
+def env(every: int = 1) -> TransformedEnv:
     endless = CountingBatchedEnv(max_steps=torch.full((ENVS,), 10**6), batch_size=[ENVS])
-    return TransformedEnv(endless, StaggeredCounter(LIMIT, seed=0))
+    return TransformedEnv(endless, StaggeredCounter(LIMIT, seed=0, every=every))
+
+
+def ends(every: int) -> torch.Tensor:
+    """When episodes end, (ENVS, steps) bool."""
+    return env(every).rollout(5 * LIMIT, break_when_any_done=False)["next", "truncated"].squeeze(-1)
 
 
 def test_first_episodes_end_anywhere_and_later_ones_last_their_time():
@@ -23,6 +29,47 @@ def test_first_episodes_end_anywhere_and_later_ones_last_their_time():
     assert set(first.tolist()) == set(range(LIMIT))
     for row, start in zip(done, first.tolist()):
         assert row.nonzero().squeeze(-1).tolist() == list(range(start, 3 * LIMIT, LIMIT))
+
+
+@pytest.mark.parametrize("every", [4, 7, 16])
+def test_episodes_end_together_at_the_first_multiple_from_the_limit_on(every):
+    for row, each_step in zip(ends(every), ends(1)):
+        found = row.nonzero().squeeze(-1) + 1
+        first = int(each_step.int().argmax()) + 1
+        wanted = [-(-first // every) * every]  # rounded up
+        while wanted[-1] + LIMIT <= 5 * LIMIT:
+            wanted.append(-(-(wanted[-1] + LIMIT) // every) * every)
+        assert found.tolist() == [step for step in wanted if step <= 5 * LIMIT]
+
+
+def test_done_follows_truncated_at_every_step():
+    data = env(every=4).rollout(3 * LIMIT, break_when_any_done=False)["next"]
+    assert data["truncated"].any()
+    assert torch.equal(data["done"], data["truncated"])
+
+
+def test_a_restored_state_goes_on_at_the_same_phase():
+    def ride(env, data, steps):
+        ends = []
+        for _ in range(steps):
+            stepped, data = env.step_and_maybe_reset(env.rand_action(data))
+            ends.append(stepped["next", "truncated"])
+        return torch.cat(ends, -1), data
+
+    original, restored = env(every=4), env(every=4)
+    _, data = ride(original, original.reset(), 6)
+    restored.reset()
+    restored.transform.load_state_dict(original.transform.state_dict())
+    goes_on, _ = ride(restored, data.clone(), 3 * LIMIT)
+    wanted, _ = ride(original, data.clone(), 3 * LIMIT)
+    assert wanted.any()
+    assert torch.equal(goes_on, wanted)
+
+
+@pytest.mark.parametrize("every", [0, -3])
+def test_impossible_multiples_are_refused(every):
+    with pytest.raises(ValueError, match=f"every must be at least 1, got {every}"):
+        StaggeredCounter(LIMIT, every=every)
 
 
 def test_each_env_of_a_serial_one_draws_its_own():

@@ -19,7 +19,7 @@ def riding_transforms(
     history_length: int = 10,
     include_current: bool = False,
     max_steps: int = 1000,
-    stagger: bool = False,
+    stagger: int = 0,
     runaway_margin: tuple[float, float] | None = None,
     runaway_penalty: float = 0.0,
     **curriculum: Any,
@@ -36,7 +36,8 @@ def riding_transforms(
         history_length: H, past observations in ``history``.
         include_current: Whether the history ends with o_t (reading A19).
         max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
-        stagger: Whether the first episodes end at different times: a :class:`StaggeredCounter`.
+        stagger: If positive, the first episodes end at different times, and the limit is looked at in every so many
+            steps: a :class:`StaggeredCounter`.
         runaway_margin: If given, of a :class:`RunawayTermination` behind the curriculum, m/s and rad/s.
         runaway_penalty: Added to the reward of a runaway.
         **curriculum: Further arguments of :class:`CommandCurriculum`, such as ``window``, ``grid`` or
@@ -56,6 +57,6 @@ def riding_transforms(
         *guards,
         CatTensors(["proprio", command.command_key], "observation", sort=False, del_keys=False),
         ObservationHistory(history_length, include_current=include_current),
-        StaggeredCounter(max_steps, curriculum.get("seed")) if stagger else StepCounter(max_steps),
+        StaggeredCounter(max_steps, curriculum.get("seed"), stagger) if stagger else StepCounter(max_steps),
         RewardSum(),
     )

@@ -1,12 +1,16 @@
-"""A time limit that robots which never fall do not all reach at once."""
+"""A time limit that robots which never fall do not all reach at once, nor each at a step of its own."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs.transforms import StepCounter
+from torchrl.envs import StepCounter
 
 from torchrl_atr.envs.transforms.seeding import make_generator
+
+_NEVER = torch.iinfo(torch.int64).max
 
 
 class StaggeredCounter(StepCounter):
@@ -16,9 +20,17 @@ class StaggeredCounter(StepCounter):
     the same short part of everybody's episode. An env that begins anew later counts from zero. TorchRL's
     ``RandomTruncationTransform`` draws horizons, at every step of which it compares once more; this draws counts.
 
+    New episodes cost a step of many envs about as much whether one begins or twenty. With ``every`` they begin
+    together: an episode that has lasted ``max_steps`` goes on to the next multiple of ``every`` steps of the env.
+
     Args:
         max_steps (int): Steps after which an episode is truncated.
         seed (int, optional): Of the counts.
+        every (int): The limit is looked at in every so many steps, from the env's first reset on. In training the
+            steps of a rollout: a batch then is cut at its end, where it is cut anyway. Defaults to 1.
+
+    Raises:
+        ValueError: ``every`` is not positive.
 
     Example:
         >>> from torchrl.envs import TransformedEnv
@@ -28,15 +40,39 @@ class StaggeredCounter(StepCounter):
         True
     """
 
-    def __init__(self, max_steps: int, seed: int | None = None) -> None:
+    def __init__(self, max_steps: int, seed: int | None = None, every: int = 1) -> None:
         super().__init__(max_steps)
+        if every < 1:
+            raise ValueError(f"every must be at least 1, got {every}")
+        self.every = int(every)
         self._generator = make_generator(seed)
+        self._steps = 0
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         tensordict_reset = super()._reset(tensordict, tensordict_reset)
         for reset_key, count_key in zip(self.reset_keys, self.step_count_keys, strict=True):
             if tensordict.get(reset_key, None) is None:
+                self._steps = 0
                 count = tensordict_reset.get(count_key)
                 drawn = torch.randint(self.max_steps, count.shape, generator=self._generator)  # on the CPU, as anywhere
                 tensordict_reset.set(count_key, drawn.to(count))
         return tensordict_reset
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        self._steps += 1
+        limit = self.max_steps
+        if self._steps % self.every:
+            self.max_steps = _NEVER
+        try:
+            return super()._step(tensordict, next_tensordict)
+        finally:
+            self.max_steps = limit
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """The env's steps since all of it was reset, and the generator."""
+        return {"steps": self._steps, "generator": self._generator.get_state()}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore :meth:`get_extra_state`."""
+        self._steps = state["steps"]
+        self._generator.set_state(state["generator"].cpu())
