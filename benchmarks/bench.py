@@ -42,7 +42,7 @@ class Plan:
         steps: control steps of a collector's batch, the recipe's.
         rounds: samples of each contender.
         seconds: least time of a sample.
-        profiled: iterations that are profiled.
+        profiled: iterations that are profiled, of robots that ride.
     """
 
     cpus: int = 0
@@ -90,7 +90,7 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
     peers, results["skipped"] = available()
     with ExitStack() as stack:
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        loops = [_loop(plan, size, scratch) for size in plan.training_sizes]
+        loops = [_loop(plan, size, scratch, riding) for size in plan.training_sizes for riding in (True, False)]
         makers: list[Maker] = [partial(loop.contender, plan.cpus) for loop in loops]
         makers += [partial(matrix_products, loops[0], plan.cpus), *_layers(plan)]
         makers += [partial(peer, plan.cpus) for peer in peers]
@@ -126,9 +126,9 @@ def _memory(plan: Plan) -> list[dict[str, float]]:
     return rows
 
 
-def _loop(plan: Plan, size: int, scratch: Path) -> TrainingLoop:
+def _loop(plan: Plan, size: int, scratch: Path, riding: bool) -> TrainingLoop:
     config = TrainConfig(num_envs=size, rollout_steps=plan.steps, compiled=plan.compiled)
-    return TrainingLoop(config, scratch / str(size))
+    return TrainingLoop(config, scratch / f"{size}-{riding}", riding)
 
 
 def _layers(plan: Plan) -> list[Maker]:

@@ -58,7 +58,8 @@ def _head(results: dict[str, Any]) -> str:
         f"{machine['cpus']}, torch threads: {machine['torch_threads']}; load average {before:.1f} before, "
         f"{after:.1f} after. {versions}.\n\n"
         f"Rates are medians of {plan['rounds']} rounds in which all contenders took turns, {plan['seconds']:g} s or "
-        "more each; ratios are of medians. A step is a robot's control step, 0.02 s. Networks are untrained."
+        "more each; ratios are of medians. A step is a robot's control step, 0.02 s. Networks are untrained "
+        "where it does not say that they ride."
         + " Our envs are compiled (`compiled=True`) where it does not say otherwise; memory is without."
         * plan["compiled"]
     )
@@ -76,14 +77,19 @@ def _ladder(results: dict[str, Any]) -> str:
 def _training(results: dict[str, Any]) -> str:
     compute, rows = results["compute"], []
     for row in results["training"]:
-        rates = (row[name] for name in ("physics", "compute", "bound", "frames_per_second"))
-        rows.append([f"{row['num_envs']}", *map(_number, rates), _ratio(row["efficiency"])])
+        cells = [_number(row[name]) for name in ("physics", "compute", "bound")]
+        for kind in ("", "riding_"):
+            cells += [_number(row[f"{kind}frames_per_second"]), _ratio(row[f"{kind}efficiency"])]
+        rows.append([f"{row['num_envs']}", *cells])
+    measured = ["frames/s, untrained", "efficiency", "frames/s, riding", "efficiency"]
     return (
         "## Training\n\n"
         f"{compute['flops_per_frame'] / 1e6:.2f} MFLOP per frame (rollout policy and learner) at "
         f"{compute['flops_per_second'] / 1e9:.1f} GFLOP/s (`torch.mm` in the shapes of actor and critic, forward and "
-        f"backward, {compute['rows']} rows) is the compute limit; the bound is 1/(1/physics + 1/compute).\n\n"
-    ) + table(["N", "physics limit", "compute limit", "bound", "training frames/s", "efficiency"], rows)
+        f"backward, {compute['rows']} rows) is the compute limit; the bound is 1/(1/physics + 1/compute). "
+        "Untrained robots fall within seconds; those that ride begin with the networks of results/a1-single_board and "
+        "fall as seldom as in most of a run.\n\n"
+    ) + table(["N", "physics limit", "compute limit", "bound", *measured], rows)
 
 
 def _peers(results: dict[str, Any]) -> str:
@@ -119,7 +125,8 @@ def _profile(results: dict[str, Any]) -> str:
         for phase, share in zip(profile["phases"], shares(seconds))
     ]
     rows.append(["", "all", f"{1000 * sum(seconds):.1f}", "100%"])
-    return f"## Where a training iteration goes, N = {profile['num_envs']}\n\n" + table(["", "", "ms", "share"], rows)
+    title = f"## Where a training iteration goes, N = {profile['num_envs']}, riding"
+    return f"{title}\n\n" + table(["", "", "ms", "share"], rows)
 
 
 def _number(value: float) -> str:

@@ -53,13 +53,16 @@ def scaling(median: dict[Key, float]) -> list[dict[str, float]]:
 
 
 def training(median: dict[Key, float], flops_per_frame: float) -> list[dict[str, float]]:
-    """For each N that was trained: frames per second, both limits, their bound, and the share of it reached."""
+    """For each N that was trained: frames per second, both limits, their bound, and the share of it reached.
+
+    Of untrained networks, and as ``riding_...`` of those that ride.
+    """
     (products,) = (value for key, value in median.items() if key.name == "matrix_products")
     compute, rows = products / flops_per_frame, []
     for key in sorted(median):
         if key.name == "training":
             physics = median[key._replace(name="physics")]
-            limit = bound(physics, compute)
+            limit, riding = bound(physics, compute), median[key._replace(name="training_riding")]
             rows.append(
                 {
                     "num_envs": key.num_envs,
@@ -68,6 +71,8 @@ def training(median: dict[Key, float], flops_per_frame: float) -> list[dict[str,
                     "compute": compute,
                     "bound": limit,
                     "efficiency": median[key] / limit,
+                    "riding_frames_per_second": riding,
+                    "riding_efficiency": riding / limit,
                 }
             )
     return rows

@@ -14,6 +14,9 @@ from benchmarks.stopwatch import Stopwatch
 from benchmarks.timing import Contender, Key
 from torchrl_atr.training import TrainConfig, Trainer
 
+RIDE = Path(__file__).parents[1] / "results" / "a1-single_board"
+"""A run whose robots hardly ever fall, as in most iterations of any run; untrained ones fall within seconds."""
+
 
 class TrainingLoop:
     """The trainer's iterations one at a time, without its logs and checkpoints.
@@ -21,10 +24,12 @@ class TrainingLoop:
     Args:
         config: of the run.
         folder: that the trainer may write to.
+        riding: whether it begins with the networks of :data:`RIDE`.
     """
 
-    def __init__(self, config: TrainConfig, folder: Path) -> None:
-        self.config, self.trainer = config, Trainer(config, folder)
+    def __init__(self, config: TrainConfig, folder: Path, riding: bool = False) -> None:
+        self.config, self.riding = config, riding
+        self.trainer = Trainer(config, folder, start=RIDE if riding else None)
         self.learner, self.env = self.trainer.learner, self.trainer.env
         self.collection = self.trainer.member.collection
 
@@ -40,7 +45,8 @@ class TrainingLoop:
 
     def contender(self, threads: int) -> Contender:
         """For timing."""
-        return Contender(Key("training", self.config.num_envs, threads), self.iterate, self.close)
+        name = "training_riding" if self.riding else "training"
+        return Contender(Key(name, self.config.num_envs, threads), self.iterate, self.close)
 
 
 def flops_per_frame(config: TrainConfig, folder: Path) -> float:

@@ -21,7 +21,8 @@ def test_one_run_measures_everything_and_says_where(tmp_path):
     assert cli.main(["bench", "--quick", "--output", str(tmp_path)]) == 0
     results, text = json.loads((tmp_path / "bench.json").read_text()), (tmp_path / "bench.md").read_text()
     rates = {(r["name"], r["num_envs"], r["threads"]): r["median"] for r in results["rates"]}
-    assert {name for name, *_ in rates} >= {"physics", *summary.LADDER, "training", "dm_control", "torchrl_ant"}
+    ours = {"physics", *summary.LADDER, "training", "training_riding"}
+    assert {name for name, *_ in rates} >= ours | {"dm_control", "torchrl_ant"}
     assert all(len(r["samples"]) == bench.QUICK.rounds and min(r["samples"]) > 0 for r in results["rates"])
     assert all(r["peak"] >= r["imported"] > 0 for r in results["memory"])
     check_origin(results)
@@ -49,7 +50,9 @@ def check_ratios(results, rates):
     (training,), compute = results["training"], results["compute"]
     limit = compute["flops_per_second"] / compute["flops_per_frame"]
     assert training["compute"] == pytest.approx(limit)
-    assert training["efficiency"] == pytest.approx(rates["training", size, cpus] * (1 / physics + 1 / limit))
+    for kind, name in {"": "training", "riding_": "training_riding"}.items():
+        wanted = rates[name, size, cpus] * (1 / physics + 1 / limit)
+        assert training[f"{kind}efficiency"] == pytest.approx(wanted)
     for name, peer in results["peers"].items():
         assert peer["ours_over_it"] == pytest.approx(rates["free", size, cpus] / rates[name, cpus, cpus])
     (row,) = results["scaling"]

@@ -26,8 +26,8 @@ class StaggeredCounter(StepCounter):
     Args:
         max_steps (int): Steps after which an episode is truncated.
         seed (int, optional): Of the counts.
-        every (int): The limit is looked at in every so many steps, from the env's first reset on. In training the
-            steps of a rollout: a batch then is cut at its end, where it is cut anyway. Defaults to 1.
+        every (int): The limit is looked at in every so many steps, from the env's first reset on. If ``max_steps`` is a
+            multiple of it, only episodes that began after a fall last longer. Defaults to 1.
 
     Raises:
         ValueError: ``every`` is not positive.
@@ -39,6 +39,8 @@ class StaggeredCounter(StepCounter):
         >>> 1 <= env.rollout(50).shape[-1] <= 5
         True
     """
+
+    max_steps: int
 
     def __init__(self, max_steps: int, seed: int | None = None, every: int = 1) -> None:
         super().__init__(max_steps)
