@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from tests.training.states import FRAMES, SMALL, differing
-from torchrl_atr.training import Trainer, load_checkpoint, make_config
+from torchrl_atr.training import CheckpointError, Trainer, load_checkpoint, make_config
 
 
 def interrupt_after(iteration):
@@ -46,3 +46,13 @@ def test_resumed_equals_uninterrupted_bit_for_bit(tmp_path, act_source, other):
     uniforms = [trainer.curriculum._generator.get_state() for trainer in (straight, resumed)]
     assert torch.equal(*uniforms)  # the next commands are the same
     assert differing(state["learner"]["networks"], ends[1]["learner"]["networks"])  # it did go on
+
+
+def test_episodes_of_other_transforms_are_refused_and_the_checkpoint_is_kept(tmp_path):
+    config = make_config(SMALL)
+    assert Trainer(config, tmp_path).train(interrupt_after(1)) == signal.SIGTERM
+    state, before = load_checkpoint(tmp_path), (tmp_path / "checkpoint.pt").read_bytes()
+    state["collection"]["transforms"].popitem()
+    with pytest.raises(CheckpointError, match=r"do not fit this code .* begin a new run with --from"):
+        Trainer(config, tmp_path, state).train()
+    assert (tmp_path / "checkpoint.pt").read_bytes() == before

@@ -22,6 +22,7 @@ from torchrl.envs.utils import ExplorationType
 from torchrl_atr._errors import UserError, first_line
 from torchrl_atr.envs.transforms import CommandCurriculum
 from torchrl_atr.modules import OnDevice
+from torchrl_atr.training.checkpoint import CheckpointError
 from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 
 _DROPPED: tuple[Any, ...] = (("next", "history"), "reward_terms", "episode_reward", ("next", "command"))
@@ -188,14 +189,24 @@ class Collection:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restores :meth:`state_dict`."""
+        """Restores :meth:`state_dict`.
+
+        Raises:
+            CheckpointError: if it is of other transforms.
+        """
         if self.remote or not state:
             return
         base = self.env.base_env
+        try:
+            self.env.transform.load_state_dict(state["transforms"])
+        except RuntimeError as error:
+            raise CheckpointError(
+                f"the robots' episodes in the checkpoint do not fit this code ({' '.join(str(error).split())}); go on "
+                "with the code that wrote it, or begin a new run with --from"
+            ) from error
         base.set_state(TensorDict(state["env"], batch_size=base.batch_size))
         base.rng.set_state(state["env_rng"])
         base.task.num_diverged = state["num_diverged"]
-        self.env.transform.load_state_dict(state["transforms"])
         for name, part in self._stateful():
             part.set_extra_state(state["policy"][name])
         self.collector._carrier.update(TensorDict(state["carried"], batch_size=base.batch_size))
