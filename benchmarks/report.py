@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.summary import shares
+from benchmarks.summary import TRAINED, shares
 from torchrl_atr._files import atomic, write_json
 
 LABELS = {
@@ -78,7 +78,7 @@ def _training(results: dict[str, Any]) -> str:
     compute, rows = results["compute"], []
     for row in results["training"]:
         cells = [_number(row[name]) for name in ("physics", "compute", "bound")]
-        for kind in ("", "riding_"):
+        for kind in TRAINED:
             cells += [_number(row[f"{kind}frames_per_second"]), _ratio(row[f"{kind}efficiency"])]
         rows.append([f"{row['num_envs']}", *cells])
     measured = ["frames/s, untrained", "efficiency", "frames/s, riding", "efficiency"]

@@ -12,6 +12,8 @@ LADDER = ("bare", "transformed", "free", "deployed", "training_policy")
 EAGER = ("bare_eager", "free_eager")
 """The same without ``compiled=True``, where the others have it."""
 PEERS = ("dm_control", "torchrl_ant", "gymnasium_ant")
+TRAINED = {"": "training", "riding_": "training_riding"}
+"""What is trained, by what its figures begin with: untrained networks, and those of a run whose robots ride."""
 SCALED = ("bare", "free")
 """What is also measured at other sizes and numbers of threads."""
 
@@ -53,28 +55,18 @@ def scaling(median: dict[Key, float]) -> list[dict[str, float]]:
 
 
 def training(median: dict[Key, float], flops_per_frame: float) -> list[dict[str, float]]:
-    """For each N that was trained: frames per second, both limits, their bound, and the share of it reached.
-
-    Of untrained networks, and as ``riding_...`` of those that ride.
-    """
+    """For each N that was trained: both limits, their bound, and of each of :data:`TRAINED` rate and share of it."""
     (products,) = (value for key, value in median.items() if key.name == "matrix_products")
     compute, rows = products / flops_per_frame, []
     for key in sorted(median):
         if key.name == "training":
             physics = median[key._replace(name="physics")]
-            limit, riding = bound(physics, compute), median[key._replace(name="training_riding")]
-            rows.append(
-                {
-                    "num_envs": key.num_envs,
-                    "frames_per_second": median[key],
-                    "physics": physics,
-                    "compute": compute,
-                    "bound": limit,
-                    "efficiency": median[key] / limit,
-                    "riding_frames_per_second": riding,
-                    "riding_efficiency": riding / limit,
-                }
-            )
+            limit = bound(physics, compute)
+            row = {"num_envs": key.num_envs, "physics": physics, "compute": compute, "bound": limit}
+            for kind, name in TRAINED.items():
+                rate = median[key._replace(name=name)]
+                row |= {f"{kind}frames_per_second": rate, f"{kind}efficiency": rate / limit}
+            rows.append(row)
     return rows
 
 

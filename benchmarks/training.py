@@ -11,6 +11,7 @@ from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from benchmarks.stopwatch import Stopwatch
+from benchmarks.summary import TRAINED
 from benchmarks.timing import Contender, Key
 from torchrl_atr.training import TrainConfig, Trainer
 
@@ -45,7 +46,7 @@ class TrainingLoop:
 
     def contender(self, threads: int) -> Contender:
         """For timing."""
-        name = "training_riding" if self.riding else "training"
+        name = TRAINED["riding_" if self.riding else ""]
         return Contender(Key(name, self.config.num_envs, threads), self.iterate, self.close)
 
 

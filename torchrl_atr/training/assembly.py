@@ -18,7 +18,7 @@ from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.restoring import load_networks, run_config
 
 TOGETHER = 10
-"""Time limits are looked at in every so many steps: with the default recipe's 250 nobody rides for longer for it."""
+"""Time limits are looked at in every so many steps, a divisor of the default recipe's 250."""
 _TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": 0}
 """Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
 DEPLOYED: dict[str, Any] = {

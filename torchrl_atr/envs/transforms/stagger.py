@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.envs import StepCounter
+from torchrl.envs.transforms import StepCounter
 
 from torchrl_atr.envs.transforms.seeding import make_generator
 
@@ -27,7 +27,7 @@ class StaggeredCounter(StepCounter):
         max_steps (int): Steps after which an episode is truncated.
         seed (int, optional): Of the counts.
         every (int): The limit is looked at in every so many steps, from the env's first reset on. If ``max_steps`` is a
-            multiple of it, only episodes that began after a fall last longer. Defaults to 1.
+            multiple of it, only first episodes and those that began after a fall last longer. Defaults to 1.
 
     Raises:
         ValueError: ``every`` is not positive.
