@@ -53,6 +53,48 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay():
     assert torch.equal(batch["next", "reward_terms", "steering_command"], steering)
 
 
+def small_learner(**settings):
+    config = make_config({"num_envs": 2, "num_threads": 1, **settings})
+    return Learner(make_run_networks(config, make_env(config)), config)
+
+
+def test_deployed_are_the_running_mean_of_the_weights_and_the_last_statistics():
+    learner = small_learner(average_over=4)
+    weight, mean = learner.networks.encoder.net[0].even.weight, learner.deployed.encoder.net[0].even.weight
+    assert mean.data_ptr() != weight.data_ptr()
+    expected = None
+    for iteration in range(40):
+        with torch.no_grad():
+            weight.fill_(float(iteration**2))
+            learner.networks.obs_norm.mean.fill_(float(iteration))
+        learner.average()
+        share = max(1 / 4, 9 / (10 + iteration))  # of the last one: a quarter, once there were 26
+        expected = iteration**2 if expected is None else expected + share * (iteration**2 - expected)
+        torch.testing.assert_close(mean, torch.full_like(mean, expected))
+        assert (learner.deployed.obs_norm.mean == iteration).all()
+    assert not any(mean is parameter for group in learner._groups.values() for parameter in group)
+
+
+def test_a_mean_over_one_iteration_is_the_last_weights():
+    learner = small_learner(average_over=1)
+    for _ in range(2):
+        with torch.no_grad():
+            for parameter in learner.networks.parameters():
+                parameter.uniform_()
+        learner.average()
+        for name, value in learner.networks.state_dict().items():
+            assert torch.equal(learner.deployed.state_dict()[name], value), name
+
+
+def test_a_learner_of_before_there_was_a_mean_deploys_its_networks():
+    one, other = small_learner(), small_learner(seed=1)
+    state = one.state_dict()
+    del state["deployed"], state["averaged"]
+    other.load_state_dict(state)
+    for name, value in one.networks.state_dict().items():
+        assert torch.equal(other.deployed.state_dict()[name], value), name
+
+
 @pytest.mark.skipif(compiler() is None, reason="no C++ compiler on PATH")
 def test_compiled_losses_and_policy_do_what_the_eager_ones_do_schedules_included():
     still = dict.fromkeys(("learning_rate", "critic_learning_rate", "estimator_learning_rate"), 1e-9)

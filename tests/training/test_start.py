@@ -21,11 +21,11 @@ def parent(tmp_path_factory):
     return folder
 
 
-def test_networks_and_command_grid_are_the_other_runs_and_all_else_is_new(parent, tmp_path):
+def test_deployed_networks_and_command_grid_are_the_other_runs_and_all_else_is_new(parent, tmp_path):
     learned = load_checkpoint(parent)
     trainer = Trainer(make_config({**TINY, "max_speed": 15.0, "seed": 7}), tmp_path / "run", start=parent)
     for name, value in trainer.learner.networks.state_dict().items():
-        assert torch.equal(value, learned["learner"]["networks"][name]), name
+        assert torch.equal(value, learned["learner"]["deployed"][name]), name
     narrow, wide = CommandGrid(bounds=(3.0, 2.0)), trainer.curriculum
     assert wide.weights.shape == (151, 21)
     assert wide.grid.area(wide.weights)[1] == pytest.approx(narrow.area(learned["curriculum"]["weights"])[1])

@@ -40,7 +40,7 @@ def test_the_checkpoint_restores_the_deployed_policy_bit_for_bit(tmp_path):
     trainer.train()
     _, env, restored, _ = load_run(tmp_path / "run", num_envs=4, seed=3)
     actions = []
-    for networks in (trainer.learner.networks, restored):
+    for networks in (trainer.learner.deployed, restored):
         env.base_env.set_seed(3)
         env.transform[0].set_seed(3)
         with set_exploration_type(ExplorationType.DETERMINISTIC):

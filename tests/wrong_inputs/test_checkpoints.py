@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -36,7 +38,11 @@ def _drop(*path: str) -> Callable[[dict], object]:
 
 
 def _fill(value: float) -> Callable[[dict], object]:
-    return lambda state: state["learner"]["networks"]["encoder.net.0.even.weight"].fill_(value)
+    def fill(state: dict) -> None:
+        for name in ("networks", "deployed"):
+            state["learner"][name]["encoder.net.0.even.weight"].fill_(value)
+
+    return fill
 
 
 @pytest.mark.parametrize(
@@ -74,8 +80,10 @@ def _cut(data: bytes) -> bytes:
 
 
 def _flip(data: bytes) -> bytes:
-    middle = len(data) // 2
-    return data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:  # not of what pads the entries: nobody reads that
+        largest = max((archive.read(entry) for entry in archive.infolist()), key=len)
+    place = data.index(largest) + len(largest) // 2
+    return data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :]
 
 
 @pytest.mark.parametrize("damage", [_cut, _flip, lambda data: b"", lambda data: b"frames,reward\n1,2\n"])

@@ -15,7 +15,7 @@ from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.restoring import load_networks, run_config
+from torchrl_atr.training.restoring import deployed_weights, load_networks, run_config
 
 TOGETHER = 10
 """Time limits are looked at in every so many steps, a divisor of the default recipe's 250."""
@@ -98,7 +98,7 @@ def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequ
 def load_run(
     run: str | Path, checkpoint: str | None = None, **env_overrides: Any
 ) -> tuple[TrainConfig, TransformedEnv, RidingNetworks, dict[str, Any]]:
-    """Config, env, trained networks and the whole checkpoint of a run folder.
+    """Config, env, networks as they are deployed, and the whole checkpoint of a run folder.
 
     Args:
         run: the folder.
@@ -118,5 +118,5 @@ def load_run(
     if "transporter" in env_overrides:  # networks keep the symmetry of what they were trained on, wherever they ride
         own = make_env(config, num_envs=1, **_TO_LOOK_AT)
     networks = make_run_networks(config, own)
-    load_networks(networks, state["learner"]["networks"], run)
+    load_networks(networks, deployed_weights(state), run)
     return config, env, networks, state

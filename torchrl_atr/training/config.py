@@ -63,6 +63,8 @@ class TrainConfig:
         final_kl: what ``target_kl`` sinks to while the exploration is annealed, so that the policy settles.
         critic_learning_rate, estimator_learning_rate: fixed.
         clip_epsilon, entropy_coeff, max_grad_norm: PPO.
+        average_over: iterations that the running mean of the weights, which is what is deployed, goes over; 1 for the
+            last weights alone.
         init_std: exploration of what all legs do alike (lean, shift, lift), in units of the action; in a run that
             begins with another's networks, the ceiling at first.
         relative_std: exploration of what legs do against each other.
@@ -128,6 +130,7 @@ class TrainConfig:
     clip_epsilon: float = 0.2
     entropy_coeff: float = 0.0
     max_grad_norm: float = 1.0
+    average_over: int = 100
     init_std: float = 0.3
     relative_std: float = 0.1
     min_std: float = 0.03

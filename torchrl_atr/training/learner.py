@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel
 from torchrl.objectives.value import GAE
 
 from torchrl_atr._compilation import CudaGraph, compile_methods
@@ -17,6 +18,8 @@ from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPP
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.guard import StepGuard
 
+_YOUNG = 9
+"""Early in a run the mean goes over a ninth of its iterations: what was learned since counts."""
 _TOO_FAR = 5.0
 """Multiples of the KL target at which the rest of an iteration's policy steps is left out."""
 
@@ -28,12 +31,13 @@ class Learner:
     follows the KL divergence, and no gradient norm clips another's.
 
     Args:
-        networks: from :func:`torchrl_atr.modules.make_networks`.
+        networks: from :func:`torchrl_atr.modules.make_networks`; trained in place.
         config: hyper-parameters.
     """
 
     def __init__(self, networks: RidingNetworks, config: TrainConfig) -> None:
         self.networks, self.config = networks, config
+        self._averaged = AveragedModel(networks, avg_fn=self._mean)
         self.loss = ROAClipPPOLoss(
             networks.training_actor(config.act_source),
             networks.critic_module,
@@ -88,6 +92,19 @@ class Learner:
     def _make_steps(self) -> dict[str, Callable[[TensorDictBase], TensorDictBase]]:
         steps = {"policy": self._policy_step, "estimators": self._adaptation_step}
         return {name: CudaGraph(step) for name, step in steps.items()} if self.config.captures_graphs else {**steps}
+
+    @property
+    def deployed(self) -> RidingNetworks:
+        """Networks with the running mean of the weights, which follows a batch's noise less than optimiser steps do."""
+        return cast(RidingNetworks, self._averaged.module)
+
+    def average(self) -> None:
+        """Moves the deployed networks towards the trained ones; call it after each iteration."""
+        self._averaged.update_parameters(self.networks)
+
+    @torch.no_grad()
+    def _mean(self, averaged: Tensor, current: Tensor, iterations: Tensor | int) -> Tensor:
+        return averaged.lerp(current, max(1 / self.config.average_over, _YOUNG / (_YOUNG + 1 + int(iterations))))
 
     def anneal(self, progress: float) -> None:
         """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ and the weight of r1.
@@ -217,9 +234,11 @@ class Learner:
         return dict(zip(map(str, terms.keys()), torch.stack(list(terms.values())).tolist()))
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that training changes here: networks, optimisers, schedule."""
+        """Everything that training changes here: networks, their mean, optimisers, schedule."""
         return {
             "networks": self.networks.state_dict(),
+            "deployed": self.deployed.state_dict(),
+            "averaged": int(self._averaged.n_averaged),
             "optimizers": {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()},
             "schedule": self.schedule.state_dict(),
             "roa_coeff": float(self.loss.roa_coeff),
@@ -229,6 +248,8 @@ class Learner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores :meth:`state_dict`."""
         self.networks.load_state_dict(state["networks"])
+        self.deployed.load_state_dict(state.get("deployed", state["networks"]))
+        self._averaged.n_averaged.fill_(state.get("averaged", 0))
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(state["optimizers"][name])
             for group in optimizer.param_groups:

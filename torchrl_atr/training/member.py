@@ -72,6 +72,7 @@ class Member:
             learned = {name: state[name] for name in ("networks", "optimizers")}  # normalisers and rates among them
             self.learner.load_state_dict({**state, **self.team.average(learned)})
             curriculum.merge_(self.team.maximum(curriculum.weights))
+        self.learner.average()
         self.collection.publish()
         self.collection.exchange()
         metrics["command_area"] = curriculum.command_area[0]

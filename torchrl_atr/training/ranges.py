@@ -29,6 +29,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "clip_epsilon": (_POSITIVE, 1),
     "entropy_coeff": (0, 10),
     "max_grad_norm": (_POSITIVE, 1e9),
+    "average_over": (1, 1_000_000),
     "init_std": (1e-3, 10),
     "relative_std": (1e-3, 10),
     "min_std": (0, 10),

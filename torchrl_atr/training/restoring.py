@@ -63,6 +63,12 @@ def run_config(state: Mapping[str, Any], run: Path, **changed: Any) -> TrainConf
         raise CheckpointError(f"the settings of {run} do not work here: {error}") from error
 
 
+def deployed_weights(state: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The running mean of the weights in a checkpoint; the last ones where there was none yet."""
+    learner = state["learner"]
+    return learner.get("deployed", learner["networks"])
+
+
 def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) -> None:
     """Loads trained networks, or says in a line why they do not fit.
 

@@ -22,7 +22,7 @@ from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.member import DUMPS, Member, assist, env_maker, make_member
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
-from torchrl_atr.training.restoring import check_parts, load_networks
+from torchrl_atr.training.restoring import check_parts, deployed_weights, load_networks
 from torchrl_atr.training.team import Team, torch_threads
 
 _MEMORY = 0.05
@@ -37,7 +37,7 @@ class Trainer:
         run: folder for config, checkpoint, logs; made if missing.
         state: a checkpoint to go on from. With ``collector="direct"`` on the CPU, not compiled, with the same threads
             and no time limit, the run goes on bit for bit as if it had not stopped.
-        start: folder of another run, whose networks and command grid a new one begins with; all else begins anew.
+        start: folder of another run, with whose deployed networks and command grid a new one begins; all else is new.
 
     Attributes:
         torch_threads: how many torch uses while several learn; None for as many as it does.
@@ -66,7 +66,7 @@ class Trainer:
         if state is not None:
             load_networks(networks, state["learner"]["networks"], run)
         elif other is not None:
-            load_networks(networks, other["learner"]["networks"], Path(other["run"]))
+            load_networks(networks, deployed_weights(other), Path(other["run"]))
         run.mkdir(parents=True, exist_ok=True)  # not before: what is refused has written and removed nothing
         sweep(run)
         if state is None:
