@@ -53,41 +53,48 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay():
     assert torch.equal(batch["next", "reward_terms", "steering_command"], steering)
 
 
+def updates(learner, env, times):
+    """After each of so many iterations, a copy of the networks' state."""
+    policy, states = learner.networks.rollout_policy(learner.config.act_source), []
+    for _ in range(times):
+        with torch.no_grad():
+            batch = env.rollout(2, policy, break_when_any_done=False)
+        learner.update(batch)
+        states.append({name: value.clone() for name, value in learner.networks.state_dict().items()})
+    return states
+
+
 def small_learner(**settings):
-    config = make_config({"num_envs": 2, "num_threads": 1, **settings})
-    return Learner(make_run_networks(config, make_env(config)), config)
+    config = make_config({"num_envs": 2, "rollout_steps": 2, "num_threads": 1, "minibatches": 1, **settings})
+    env = make_env(config)
+    return Learner(make_run_networks(config, env), config), env
 
 
 def test_deployed_are_the_running_mean_of_the_weights_and_the_last_statistics():
-    learner = small_learner(average_over=4)
-    weight, mean = learner.networks.encoder.net[0].even.weight, learner.deployed.encoder.net[0].even.weight
-    assert mean.data_ptr() != weight.data_ptr()
-    expected = None
-    for iteration in range(40):
-        with torch.no_grad():
-            weight.fill_(float(iteration**2))
-            learner.networks.obs_norm.mean.fill_(float(iteration))
-        learner.average()
-        share = max(1 / 4, 9 / (10 + iteration))  # of the last one: a quarter, once there were 26
-        expected = iteration**2 if expected is None else expected + share * (iteration**2 - expected)
-        torch.testing.assert_close(mean, torch.full_like(mean, expected))
-        assert (learner.deployed.obs_norm.mean == iteration).all()
-    assert not any(mean is parameter for group in learner._groups.values() for parameter in group)
+    learner, env = small_learner(average_over=2)
+    states = updates(learner, env, 12)
+    shares = [1.0, *(max(1 / 2, 9 / (10 + iteration)) for iteration in range(1, 12))]
+    assert shares[1] == 9 / 11
+    assert shares[-1] == 1 / 2
+    weights = {name for name, _ in learner.networks.named_parameters()}
+    for name, deployed in learner.deployed.state_dict().items():
+        expected = states[0][name]
+        for share, state in zip(shares[1:], states[1:], strict=True):
+            expected = torch.lerp(expected, state[name], share) if name in weights else state[name]
+        torch.testing.assert_close(deployed, expected)
+    trained = {id(parameter) for group in learner._groups.values() for parameter in group}
+    assert trained.isdisjoint(map(id, learner.deployed.parameters()))
 
 
 def test_a_mean_over_one_iteration_is_the_last_weights():
-    learner = small_learner(average_over=1)
-    for _ in range(2):
-        with torch.no_grad():
-            for parameter in learner.networks.parameters():
-                parameter.uniform_()
-        learner.average()
-        for name, value in learner.networks.state_dict().items():
-            assert torch.equal(learner.deployed.state_dict()[name], value), name
+    learner, env = small_learner(average_over=1)
+    *_, last = updates(learner, env, 3)
+    for name, value in learner.deployed.state_dict().items():
+        assert torch.equal(value, last[name]), name
 
 
 def test_a_learner_of_before_there_was_a_mean_deploys_its_networks():
-    one, other = small_learner(), small_learner(seed=1)
+    (one, _), (other, _) = small_learner(), small_learner()
     state = one.state_dict()
     del state["deployed"], state["averaged"]
     other.load_state_dict(state)

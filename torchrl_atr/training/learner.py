@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
-from torch.optim.swa_utils import AveragedModel
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.objectives.value import GAE
 
 from torchrl_atr._compilation import CudaGraph, compile_methods
@@ -37,7 +37,7 @@ class Learner:
 
     def __init__(self, networks: RidingNetworks, config: TrainConfig) -> None:
         self.networks, self.config = networks, config
-        self._averaged = AveragedModel(networks, avg_fn=self._mean)
+        self._averaged = AveragedModel(networks, multi_avg_fn=self._average)
         self.loss = ROAClipPPOLoss(
             networks.training_actor(config.act_source),
             networks.critic_module,
@@ -98,13 +98,9 @@ class Learner:
         """Networks with the running mean of the weights, which follows a batch's noise less than optimiser steps do."""
         return cast(RidingNetworks, self._averaged.module)
 
-    def average(self) -> None:
-        """Moves the deployed networks towards the trained ones; call it after each iteration."""
-        self._averaged.update_parameters(self.networks)
-
-    @torch.no_grad()
-    def _mean(self, averaged: Tensor, current: Tensor, iterations: Tensor | int) -> Tensor:
-        return averaged.lerp(current, max(1 / self.config.average_over, _YOUNG / (_YOUNG + 1 + int(iterations))))
+    def _average(self, averaged: Any, current: Any, iterations: Tensor | int) -> None:
+        share = max(1 / self.config.average_over, _YOUNG / (_YOUNG + 1 + int(iterations)))
+        get_ema_multi_avg_fn(1 - share)(averaged, current, iterations)
 
     def anneal(self, progress: float) -> None:
         """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ and the weight of r1.
@@ -153,6 +149,7 @@ class Learner:
         self._too_far.fill_(False)
         policy, adaptation = self._learn_policy(shuffled), self._learn_estimators(shuffled)
         self.networks.update_normalizers(flat)
+        self._averaged.update_parameters(self.networks)
         metrics = {**self._means("policy", policy), **self._means("estimators", adaptation)}
         metrics |= {"learning_rate": self.schedule.get_last_lr()[0], "chatter": float(chatter)}
         return {**metrics, "skipped_steps": float(self.guard.skipped)}

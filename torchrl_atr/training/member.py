@@ -69,10 +69,9 @@ class Member:
         curriculum = self.collection.curriculum
         if self.team.size > 1:
             state = self.learner.state_dict()
-            learned = {name: state[name] for name in ("networks", "optimizers")}  # normalisers and rates among them
+            learned = {name: state[name] for name in ("networks", "deployed", "optimizers")}  # normalisers, rates too
             self.learner.load_state_dict({**state, **self.team.average(learned)})
             curriculum.merge_(self.team.maximum(curriculum.weights))
-        self.learner.average()
         self.collection.publish()
         self.collection.exchange()
         metrics["command_area"] = curriculum.command_area[0]
