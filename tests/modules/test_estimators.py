@@ -152,6 +152,21 @@ class HiddenState(Good):
         return super().forward(history) + self.offset
 
 
+class KeepsGraph(Good):
+    def forward(self, history):
+        self.last = super().forward(history)
+        return self.last
+
+
+class HoldsOriginal(Good):
+    def __init__(self, history_shape, out_features):
+        super().__init__(history_shape, out_features)
+        self.function = lambda history: self.head(history[..., -1, :])
+
+    def forward(self, history):
+        return self.function(history)
+
+
 def test_check_accepts_a_minimal_estimator_and_leaves_the_random_state_alone():
     state = torch.get_rng_state()
     check_estimator(Good, history_shape=SHAPE, out_features=OUT)
@@ -173,6 +188,8 @@ def test_check_accepts_a_minimal_estimator_and_leaves_the_random_state_alone():
         (Unused, "gradients.*spare"),
         (ZeroGradient, "gradients.*non-zero"),
         (HiddenState, "state_dict"),
+        (KeepsGraph, "copy.*deepcopy raised RuntimeError"),
+        (HoldsOriginal, "copy.*weights of the original"),
     ],
 )
 def test_check_names_what_is_wrong(factory, failed):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from typing import Any
 
 import torch
@@ -20,7 +21,8 @@ def check_estimator(
 
     It builds two estimators and checks: output shape, dtype and finiteness for several leading shapes; the
     same output for the same input in eval mode; no row of a batch depends on another; the input is left as
-    it is; gradients reach every trainable parameter; a ``state_dict`` round trip gives the same outputs.
+    it is; gradients reach every trainable parameter; a ``state_dict`` round trip gives the same outputs; a
+    ``copy.deepcopy`` works on weights of its own, as the running mean that is deployed does.
 
     Args:
         factory (callable): ``factory(history_shape=(H, D), out_features, **kwargs) -> nn.Module``.
@@ -51,6 +53,7 @@ def check_estimator(
         _check_behaviour(net, history)
         _check_gradients(net, history)
         _check_state_dict(net, twin, history)
+        _check_copy(net, history)
 
 
 def _require(condition: bool, name: str, remedy: str) -> None:
@@ -134,4 +137,23 @@ def _check_state_dict(net: nn.Module, twin: nn.Module, history: Tensor) -> None:
         torch.equal(twin(history), net(history)),
         "state_dict",
         "a second instance with the same state_dict gives other outputs; register all state as parameters or buffers.",
+    )
+
+
+def _check_copy(net: nn.Module, history: Tensor) -> None:
+    out = net(history)
+    try:
+        copied = deepcopy(net)
+    except Exception as error:
+        raise AssertionError(
+            f"Estimator check 'copy' failed: copy.deepcopy raised {type(error).__name__}: {error}. Keep nothing that "
+            "cannot be copied, such as outputs of an earlier call with their graph."
+        ) from error
+    with torch.no_grad():
+        for parameter in copied.parameters():
+            parameter.add_(1.0)
+    _require(
+        torch.equal(net(history), out) and not torch.equal(copied(history), out),
+        "copy",
+        "a copy.deepcopy computes with the weights of the original; reach them through self alone.",
     )
