@@ -10,13 +10,16 @@ from torchrl_atr._compilation import compiler
 from torchrl_atr.training import Learner, make_config, make_env, make_policy, make_run_networks
 
 
+def small_learner(**settings):
+    config = make_config({"num_envs": 2, "rollout_steps": 2, "num_threads": 1, "minibatches": 1, **settings})
+    env = make_env(config)
+    return Learner(make_run_networks(config, env), config), env
+
+
 @pytest.mark.parametrize("ramp", [False, True])
 def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp):
     anneal = {"anneal_from": 0.4, "anneal_until": 0.8, "init_std": 0.3, "final_std": 0.1}
-    settings = {"num_envs": 2, "num_threads": 1, **anneal}
-    config = make_config({**settings, "target_kl": 0.03, "final_kl": 0.01, "roa_coeff": 0.2, "roa_ramp": ramp})
-    env = make_env(config)
-    learner = Learner(make_run_networks(config, env), config)
+    learner, _ = small_learner(**anneal, target_kl=0.03, final_kl=0.01, roa_coeff=0.2, roa_ramp=ramp)
     half = 0.3 / 3**0.5, 0.02
     for progress, ceiling, kl in ((0.0, 0.3, 0.03), (0.4, 0.3, 0.03), (0.6, *half), (0.8, 0.1, 0.01), (1.2, 0.1, 0.01)):
         learner.anneal(progress)
@@ -28,18 +31,8 @@ def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp)
 
 
 def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay():
-    config = make_config(
-        {
-            "num_envs": 4,
-            "rollout_steps": 2,
-            "num_threads": 1,
-            "minibatches": 1,
-            "steering_emphasis": 5,
-            "anneal_until": 0.8,
-        }
-    )
-    env = make_env(config)
-    learner, rewards = Learner(make_run_networks(config, env), config), []
+    learner, env = small_learner(num_envs=4, steering_emphasis=5, anneal_until=0.8)
+    config, rewards = learner.config, []
     policy, advantage = learner.networks.rollout_policy(config.act_source), learner.advantage
     with torch.no_grad():
         batch = env.rollout(2, policy, break_when_any_done=False)
@@ -62,12 +55,6 @@ def updates(learner, env, times):
         learner.update(batch)
         states.append({name: value.clone() for name, value in learner.networks.state_dict().items()})
     return states
-
-
-def small_learner(**settings):
-    config = make_config({"num_envs": 2, "rollout_steps": 2, "num_threads": 1, "minibatches": 1, **settings})
-    env = make_env(config)
-    return Learner(make_run_networks(config, env), config), env
 
 
 def test_deployed_are_the_running_mean_of_the_weights_and_the_last_statistics():

@@ -118,5 +118,5 @@ def load_run(
     if "transporter" in env_overrides:  # networks keep the symmetry of what they were trained on, wherever they ride
         own = make_env(config, num_envs=1, **_TO_LOOK_AT)
     networks = make_run_networks(config, own)
-    load_networks(networks, deployed_weights(state), run)
+    load_networks(networks, deployed_weights(state["learner"]), run)
     return config, env, networks, state

@@ -17,6 +17,7 @@ from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.guard import StepGuard
+from torchrl_atr.training.restoring import deployed_weights
 
 _YOUNG = 9
 """Early in a run the mean goes over a ninth of its iterations: what was learned since counts."""
@@ -245,7 +246,7 @@ class Learner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restores :meth:`state_dict`."""
         self.networks.load_state_dict(state["networks"])
-        self.deployed.load_state_dict(state.get("deployed", state["networks"]))
+        self.deployed.load_state_dict(deployed_weights(state))
         self._averaged.n_averaged.fill_(state.get("averaged", 0))
         for name, optimizer in self.optimizers.items():
             optimizer.load_state_dict(state["optimizers"][name])

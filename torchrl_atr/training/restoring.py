@@ -63,9 +63,8 @@ def run_config(state: Mapping[str, Any], run: Path, **changed: Any) -> TrainConf
         raise CheckpointError(f"the settings of {run} do not work here: {error}") from error
 
 
-def deployed_weights(state: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The running mean of the weights in a checkpoint; the last ones where there was none yet."""
-    learner = state["learner"]
+def deployed_weights(learner: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The running mean of the weights in a learner's state; the last ones where there was none yet."""
     return learner.get("deployed", learner["networks"])
 
 

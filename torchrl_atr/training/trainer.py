@@ -66,7 +66,7 @@ class Trainer:
         if state is not None:
             load_networks(networks, state["learner"]["networks"], run)
         elif other is not None:
-            load_networks(networks, deployed_weights(other), Path(other["run"]))
+            load_networks(networks, deployed_weights(other["learner"]), Path(other["run"]))
         run.mkdir(parents=True, exist_ok=True)  # not before: what is refused has written and removed nothing
         sweep(run)
         if state is None:
