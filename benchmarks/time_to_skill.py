@@ -28,8 +28,8 @@ BAR = {"survival": (0.97, 1.0), "settled_speed_error": (0.0, 0.30), "settled_yaw
 GRID = (2.0, 1.0, 1.0, 0.25)
 """Largest speed (m/s) and yaw rate (rad/s) of the commands, and their steps."""
 RECIPE = {
-    "total_frames": 18_000_000,
-    "max_speed": 4.0,
+    "total_frames": 14_000_000,
+    "max_speed": 3.0,
     "max_yaw_rate": 1.4,
     "moving_start": 0.5,
     "anneal_from": 0.5,

@@ -30,8 +30,9 @@ def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp)
     assert torch.isfinite(learner.networks.backbone.std.raw).all()
 
 
-def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay():
-    learner, env = small_learner(num_envs=4, steering_emphasis=5, anneal_until=0.8)
+@pytest.mark.parametrize(("final", "last"), [(1.0, 2.0), (3.0, 3.5), (5.0, 5.0)])
+def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay(final, last):
+    learner, env = small_learner(num_envs=4, steering_emphasis=5, final_emphasis=final, anneal_until=0.8)
     config, rewards = learner.config, []
     policy, advantage = learner.networks.rollout_policy(config.act_source), learner.advantage
     with torch.no_grad():
@@ -41,7 +42,7 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay():
     for progress in (0.0, 0.2, 0.8, 0.95):
         learner.anneal(progress)
         learner.update(batch.clone())
-    for seen, count in zip(rewards, (1.0, 2.0, 5.0, 2.0), strict=True):
+    for seen, count in zip(rewards, (1.0, 2.0, 5.0, last), strict=True):
         torch.testing.assert_close(seen, plain + (count - 1.0) * steering)
     assert torch.equal(batch["next", "reward_terms", "steering_command"], steering)
 

@@ -90,8 +90,8 @@ class TrainConfig:
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
         steering_emphasis: weight of r1 in what is learned from, at its peak: it rises from 1 until ``anneal_until``
-            of the run and sinks back to 1 at the end (where ``anneal_until`` is 1, it only rises); 1 leaves the rewards
-            alone. What it adds is not part of what the profile ``ancestor`` clips.
+            of the run; 1 leaves the rewards alone. What it adds is not part of what the profile ``ancestor`` clips.
+        final_emphasis: what it sinks to from there until the run ends; with ``anneal_until=1`` it only rises.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).
@@ -156,6 +156,7 @@ class TrainConfig:
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
     steering_emphasis: float = 1.0
+    final_emphasis: float = 1.0
     tracking_threshold: float = 0.6
     score_from_seconds: float = 1.0
     count_own_twice: bool = False

@@ -107,8 +107,8 @@ class Learner:
         """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ and the weight of r1.
 
         Noise hides which way the board is tilted, and steps that follow a batch's noise unsettle what was learned. A
-        turn is paid late and through more noise than a speed: once speeds are held, r1 may count more, and at the end
-        once again, since what it gained stays and fewer fall.
+        turn is paid late and through more noise than a speed: once speeds are held, r1 may count more, and less again at
+        the end, when fewer fall for it.
 
         Args:
             progress: share of the run that is over, in [0, 1].
@@ -118,8 +118,8 @@ class Learner:
         late = min(max(0.0, late), 1.0)
         self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
-        points = [0.0, config.anneal_until, 1.0]
-        self._emphasis = float(np.interp(progress, points, [1.0, config.steering_emphasis, 1.0]))
+        points, weights = [0.0, config.anneal_until, 1.0], [1.0, config.steering_emphasis, config.final_emphasis]
+        self._emphasis = float(np.interp(progress, points, weights))
         if self._roa_ramp is not None:
             self._roa_ramp.step(progress)
 

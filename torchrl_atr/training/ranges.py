@@ -47,6 +47,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "episode_seconds": (0.1, 1e6),
     "command_seconds": (0.1, 1e6),
     "steering_emphasis": (0, 100),
+    "final_emphasis": (0, 100),
     "tracking_threshold": (0.01, 1),
     "score_from_seconds": (0, 1e6),
     "initial_speed": (_POSITIVE, BOUNDS[0]),
