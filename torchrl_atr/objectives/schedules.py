@@ -25,8 +25,16 @@ class LinearSchedule:
         ValueError: if the loss has no such coefficient, or not ``0 <= begin < until <= 1``.
 
     Examples:
-        >>> schedule = LinearSchedule(loss, "roa_coeff", 0.0, 0.1)  # doctest: +SKIP
-        >>> schedule.step(0.5), loss.roa_coeff  # doctest: +SKIP
+        >>> from torchrl.data import Composite, Unbounded
+        >>> from torchrl_atr.modules import make_networks
+        >>> from torchrl_atr.objectives import ROAClipPPOLoss
+        >>> privileged = Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,)))
+        >>> spec = Composite(observation=Unbounded((5,)), history=Unbounded((4, 5)), privileged=privileged)
+        >>> nets = make_networks(spec, Unbounded((2,)), estimator="mlp")
+        >>> estimators = nets.intrinsic_estimator_module, nets.extrinsic_estimator_module
+        >>> loss = ROAClipPPOLoss(nets.training_actor(), nets.critic_module, nets.encoder_module, *estimators)
+        >>> schedule = LinearSchedule(loss, "roa_coeff", 0.0, 0.1)
+        >>> schedule.step(0.5), loss.roa_coeff
         (0.05, tensor(0.0500))
     """
 
