@@ -60,10 +60,10 @@ def _with_any_rows(compiled: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def compile_methods(owner: object, *names: str) -> None:
+def compile_methods(owner: object, *names: str, any_rows: bool = False) -> None:
     """Compiles methods of one object, in place; it cannot be pickled any more. See :func:`compile_function`."""
     for name in names:
-        setattr(owner, name, compile_function(getattr(owner, name)))
+        setattr(owner, name, compile_function(getattr(owner, name), any_rows))
 
 
 class CudaGraph:

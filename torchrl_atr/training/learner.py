@@ -107,8 +107,8 @@ class Learner:
         """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ and the weight of r1.
 
         Noise hides which way the board is tilted, and steps that follow a batch's noise unsettle what was learned. A
-        turn is paid late and through more noise than a speed: once speeds are held, r1 may count more, and less again at
-        the end, when fewer fall for it.
+        turn is paid late and through more noise than a speed: once speeds are held, r1 may count more. At the end it
+        may count less again, for which fewer fall.
 
         Args:
             progress: share of the run that is over, in [0, 1].

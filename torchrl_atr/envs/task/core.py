@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchrl_atr._compilation import compile_function
+from torchrl_atr._compilation import compile_methods
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.profiles import Readings
@@ -58,7 +58,7 @@ class RidingTask:
         rng: source of intrinsics, initial states and pushes.
         moving_start: share of the episodes that start at part of the commanded speeds.
         retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again.
-        compiled: whether what a step computes from the simulation is compiled (``compile_function``).
+        compiled: whether what a step computes from the simulation is compiled (``compile_methods``).
 
     Attributes:
         x_int: scaled intrinsic parameters, (N, 34).
@@ -100,10 +100,9 @@ class RidingTask:
         self.previous_action = torch.zeros(n, self.joints)
         self.odometry = torch.zeros(n, 3)
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
-        self._assess, self._open = self._assess_eagerly, self._open_eagerly
         if compiled:
-            self._assess = compile_function(self._assess_eagerly)
-            self._open = compile_function(self._open_eagerly, any_rows=True)  # any number of robots begins
+            compile_methods(self, "_assess")
+            compile_methods(self, "_open", any_rows=True)  # any number of robots begins
         self.begin(np.arange(n))
 
     @torch.no_grad()
@@ -140,9 +139,7 @@ class RidingTask:
         self.steps, self.fell = self.steps.index_fill(0, index, 0), self.fell.index_fill(0, index, False)
         return observed
 
-    def _open_eagerly(
-        self, readout: Readout, command: Tensor, x_int: Tensor
-    ) -> tuple[dict[Any, Tensor], Tensor, Tensor]:
+    def _open(self, readout: Readout, command: Tensor, x_int: Tensor) -> tuple[dict[Any, Tensor], Tensor, Tensor]:
         """Observations, velocities and odometry of episodes that start: a function of the arguments alone."""
         state, velocities = self._reader.interpret(readout, None)
         # a moving start stands for a ride that began earlier, its odometry with it
@@ -190,7 +187,7 @@ class RidingTask:
         self.steps, self.fell = self.steps + 1, outcome.terminated
         return outcome
 
-    def _assess_eagerly(
+    def _assess(
         self,
         readout: Readout,
         velocities: Tensor,
