@@ -56,9 +56,13 @@ def check_estimator(
         _check_copy(net, history)
 
 
+def _failure(name: str, remedy: str) -> AssertionError:
+    return AssertionError(f"Estimator check {name!r} failed: {remedy}")
+
+
 def _require(condition: bool, name: str, remedy: str) -> None:
     if not condition:
-        raise AssertionError(f"Estimator check {name!r} failed: {remedy}")
+        raise _failure(name, remedy)
 
 
 def _check_outputs(net: nn.Module, history_shape: tuple[int, int], out_features: int) -> None:
@@ -67,10 +71,10 @@ def _check_outputs(net: nn.Module, history_shape: tuple[int, int], out_features:
         try:
             out = net(history)
         except Exception as error:
-            raise AssertionError(
-                f"Estimator check 'leading dimensions' failed: a history of shape {tuple(history.shape)} "
-                f"raised {type(error).__name__}: {error}. Accept any number of leading dimensions "
-                "(flatten them, restore them on the output)."
+            raise _failure(
+                "leading dimensions",
+                f"a history of shape {tuple(history.shape)} raised {type(error).__name__}: {error}. Accept any number "
+                "of leading dimensions (flatten them, restore them on the output).",
             ) from error
         _require(isinstance(out, Tensor), "output", f"forward returned a {type(out).__name__}; return one Tensor.")
         expected = (*batch, out_features)
@@ -145,9 +149,10 @@ def _check_copy(net: nn.Module, history: Tensor) -> None:
     try:
         copied = deepcopy(net)
     except Exception as error:
-        raise AssertionError(
-            f"Estimator check 'copy' failed: copy.deepcopy raised {type(error).__name__}: {error}. Keep nothing that "
-            "cannot be copied, such as outputs of an earlier call with their graph."
+        raise _failure(
+            "copy",
+            f"copy.deepcopy raised {type(error).__name__}: {error}. Keep nothing that cannot be copied, such as "
+            "outputs of an earlier call with their graph.",
         ) from error
     with torch.no_grad():
         for parameter in copied.parameters():

@@ -114,8 +114,7 @@ class Learner:
             progress: share of the run that is over, in [0, 1].
         """
         config = self.config
-        late = (progress - config.anneal_from) / (config.anneal_until - config.anneal_from)
-        late = min(max(0.0, late), 1.0)
+        late = float(np.interp(progress, [config.anneal_from, config.anneal_until], [0.0, 1.0]))
         self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
         points, weights = [0.0, config.anneal_until, 1.0], [1.0, config.steering_emphasis, config.final_emphasis]
