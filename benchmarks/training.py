@@ -17,7 +17,6 @@ from torchrl_atr.training import TrainConfig, Trainer
 
 RIDE = Path(__file__).parents[1] / "results" / "a1-single_board"
 """A run whose robots hardly ever fall, as in most iterations of any run; untrained ones fall within seconds."""
-_SLOW = 1e-5
 
 
 class TrainingLoop:
@@ -26,13 +25,10 @@ class TrainingLoop:
     Args:
         config: of the run.
         folder: that the trainer may write to.
-        riding: whether it begins with the networks of :data:`RIDE`, and learns slowly: at the default rate the first
-            steps of a fresh optimiser throw a rider whose exploration is small.
+        riding: whether it begins with the networks of :data:`RIDE`.
     """
 
     def __init__(self, config: TrainConfig, folder: Path, riding: bool = False) -> None:
-        if riding:
-            config = dataclasses.replace(config, learning_rate=_SLOW)
         self.config, self.riding = config, riding
         self.trainer = Trainer(config, folder, start=RIDE if riding else None)
         self.learner, self.env = self.trainer.learner, self.trainer.env

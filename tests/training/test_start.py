@@ -21,7 +21,7 @@ def parent(tmp_path_factory):
     return folder
 
 
-def test_deployed_networks_and_command_grid_are_the_other_runs_and_all_else_is_new(parent, tmp_path):
+def test_a_run_begins_with_anothers_deployed_networks_and_command_grid(parent, tmp_path):
     learned = load_checkpoint(parent)
     trainer = Trainer(make_config({**TINY, "max_speed": 15.0, "seed": 7}), tmp_path / "run", start=parent)
     for name, value in trainer.learner.networks.state_dict().items():
@@ -30,7 +30,25 @@ def test_deployed_networks_and_command_grid_are_the_other_runs_and_all_else_is_n
     assert wide.weights.shape == (151, 21)
     assert wide.grid.area(wide.weights)[1] == pytest.approx(narrow.area(learned["curriculum"]["weights"])[1])
     assert trainer.frames == trainer.seconds == 0
-    assert not trainer.learner.optimizers["policy"].state
+
+
+def test_optimisers_go_on_where_the_other_run_ended_with_settings_of_their_own(parent, tmp_path):
+    before = load_checkpoint(parent)["learner"]["optimizers"]
+    config = make_config({**TINY, "critic_learning_rate": 2e-4, "learning_rate": 1e-3})
+    learner = Trainer(config, tmp_path / "run", start=parent).learner
+    for name, optimizer in learner.optimizers.items():
+        moments = optimizer.state_dict()["state"]
+        assert moments.keys() == before[name]["state"].keys() != set(), name
+        for index, entries in before[name]["state"].items():
+            assert all(torch.equal(moments[index][key], value) for key, value in entries.items()), name
+    rate = float(before["policy"]["param_groups"][0]["lr"])
+    assert learner.schedule.get_last_lr() == [pytest.approx(rate)]
+    assert learner.optimizers["critic"].param_groups[0]["lr"] == 2e-4
+    learner.schedule.step(torch.tensor(1e9))
+    assert learner.optimizers["policy"].param_groups[0]["lr"] < rate  # the schedule's own, not a copy
+    slower = make_config({**TINY, "learning_rate": rate / 2})
+    begun = Trainer(slower, tmp_path / "slower", start=parent).learner
+    assert begun.schedule.get_last_lr() == [pytest.approx(rate / 2)]
 
 
 def test_the_command_line_keeps_the_settings_and_says_where_the_run_comes_from(parent, tmp_path):

@@ -104,10 +104,10 @@ class DeviceKLAdaptiveLR(KLAdaptiveLR):
     def __init__(self, optimizer: torch.optim.Optimizer, target_kl: float, **bounds: float) -> None:
         group = optimizer.param_groups[0]
         device = group["params"][0].device
-        self.rate = torch.tensor(float(group["lr"]), dtype=torch.float32, device=device)
+        self.rate = torch.zeros((), device=device)
         self._target = torch.zeros((), device=device)
         super().__init__(optimizer, target_kl, **bounds)
-        self._share_rate()
+        self.set_rate(float(group["lr"]))
 
     @property
     def target_kl(self) -> float:
@@ -141,9 +141,10 @@ class DeviceKLAdaptiveLR(KLAdaptiveLR):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restore a schedule; the rate is the one that the optimizer was restored to, before this."""
         super().load_state_dict(state_dict)
-        self.rate.fill_(float(self.optimizer.param_groups[0]["lr"]))
-        self._share_rate()
+        self.set_rate(float(self.optimizer.param_groups[0]["lr"]))
 
-    def _share_rate(self) -> None:
+    def set_rate(self, rate: float) -> None:
+        """Go on at this rate, in all parameter groups."""
+        self.rate.fill_(rate)
         for group in self.optimizer.param_groups:
             group["lr"] = self.rate

@@ -37,7 +37,8 @@ class Trainer:
         run: folder for config, checkpoint, logs; made if missing.
         state: a checkpoint to go on from. With ``collector="direct"`` on the CPU, not compiled, with the same threads
             and no time limit, the run goes on bit for bit as if it had not stopped.
-        start: folder of another run, with whose deployed networks and command grid a new one begins; all else is new.
+        start: folder of another run, with whose deployed networks, optimisers' moments and command grid a new one
+            begins, at its policy's learning rate if that is lower; all else is new.
 
     Attributes:
         torch_threads: how many torch uses while several learn; None for as many as it does.
@@ -226,6 +227,7 @@ class Trainer:
     def _begin_from(self, other: dict[str, Any]) -> None:
         grid = self.curriculum.grid
         self.curriculum.load_weights(grid.merge(grid.fitted(other["curriculum"]["weights"]), grid.initial_weights()))
+        self.learner.begin_from(other["learner"])
         self._start = {name: other[name] for name in ("run", "config", "provenance")}
 
     def _restore(self, state: dict[str, Any]) -> None:
