@@ -39,6 +39,7 @@ def make_riding_env(
     window: int = 250,
     grid: CommandGrid | None = None,
     runaway_margin: tuple[float, float] | None = None,
+    stored_once: bool = False,
     **curriculum: Any,
 ) -> TransformedEnv:
     """A :class:`RidingEnv` behind command curriculum, observation, history, time limit and episode reward.
@@ -64,6 +65,8 @@ def make_riding_env(
         window: control steps that a command lasts (5 s at 50 Hz).
         grid: the curriculum's cells and update rule; None for the paper's.
         runaway_margin: end episodes of transporters faster than any command by this much, m/s and rad/s (for training).
+        stored_once: whether collected steps hold the history at the root alone, and reward terms in ``next`` alone, for
+            a tenth more steps a second: see :class:`~torchrl_atr.envs.transforms.StoredOnce`.
         **curriculum: further arguments of :class:`~torchrl_atr.envs.transforms.CommandCurriculum`.
 
     Returns:
@@ -104,6 +107,7 @@ def make_riding_env(
         grid=grid,
         runaway_margin=runaway_margin,
         runaway_penalty=scale * TERMINATION,
+        stored_once=stored_once,
         rest_key="speeds",
         seed=seed,
         **curriculum,

@@ -19,7 +19,7 @@ from torchrl_atr.training.restoring import deployed_weights, load_networks, run_
 
 TOGETHER = 10
 """Time limits are looked at in every so many steps, a divisor of the default recipe's 250."""
-_TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": 0}
+_TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": 0, "stored_once": False}
 """Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
 DEPLOYED: dict[str, Any] = {
     **_TO_LOOK_AT,
@@ -57,6 +57,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "window": round(config.command_seconds / CONTROL_DT),
         "thresholds": (config.tracking_threshold,) * 2,
         "score_from": round(config.score_from_seconds / CONTROL_DT),
+        "stored_once": True,
         "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
         "grid": config.grid,
     }

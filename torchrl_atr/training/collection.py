@@ -25,8 +25,6 @@ from torchrl_atr.modules import OnDevice
 from torchrl_atr.training.checkpoint import CheckpointError
 from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 
-_DROPPED: tuple[Any, ...] = (("next", "history"), "reward_terms", "episode_reward", ("next", "command"))
-# Neither GAE nor the losses read these; the next history alone would be a third of a batch.
 _PLAIN = {"auto_register_policy_transforms": False}
 """The policy brings no transforms of its own."""
 _CURRICULUM = "env.transform[0]"
@@ -91,7 +89,6 @@ class Collection:
             "policy_device": config.device if self.remote else "cpu",
             "env_device": "cpu",
             "storing_device": "cpu",
-            "postproc": _drop,
         }
         if not self.remote:
             plain = {"track_traj_ids": False, "return_same_td": True, "trust_policy": True, **_PLAIN}
@@ -209,7 +206,8 @@ class Collection:
         base.task.num_diverged = state["num_diverged"]
         for name, part in self._stateful():
             part.set_extra_state(state["policy"][name])
-        self.collector._carrier.update(TensorDict(state["carried"], batch_size=base.batch_size))
+        carrier, carried = self.collector._carrier, TensorDict(state["carried"], batch_size=base.batch_size)
+        carrier.update(carried.select(*carrier.keys(True, True), strict=False))
 
     def _stateful(self) -> list[tuple[str, Any]]:
         """Parts of the policy with a state that is no parameter: noise that runs on."""
@@ -270,7 +268,3 @@ def _worker_env(make_env: Callable[..., TransformedEnv], weights: Tensor, *, see
     env = make_env(seed=seed, **share)
     env.transform[0].load_weights(weights)
     return env
-
-
-def _drop(batch: TensorDictBase) -> TensorDictBase:
-    return batch.exclude(*_DROPPED)

@@ -3,6 +3,7 @@
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.history import ObservationHistory
+from torchrl_atr.envs.transforms.once import StoredOnce
 from torchrl_atr.envs.transforms.runaway import RunawayTermination
 from torchrl_atr.envs.transforms.stack import riding_transforms
 from torchrl_atr.envs.transforms.stagger import StaggeredCounter
@@ -13,5 +14,6 @@ __all__ = [
     "ObservationHistory",
     "RunawayTermination",
     "StaggeredCounter",
+    "StoredOnce",
     "riding_transforms",
 ]

@@ -9,6 +9,7 @@ from torchrl.envs.transforms import CatTensors, Compose, RewardSum, StepCounter
 
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.history import ObservationHistory
+from torchrl_atr.envs.transforms.once import StoredOnce
 from torchrl_atr.envs.transforms.runaway import RunawayTermination
 from torchrl_atr.envs.transforms.stagger import StaggeredCounter
 
@@ -22,6 +23,7 @@ def riding_transforms(
     stagger: int = 0,
     runaway_margin: tuple[float, float] | None = None,
     runaway_penalty: float = 0.0,
+    stored_once: bool = False,
     **curriculum: Any,
 ) -> Compose:
     """Command, observation, history, time limit and episode reward, in the order that makes them agree.
@@ -40,6 +42,8 @@ def riding_transforms(
             steps: a :class:`StaggeredCounter`.
         runaway_margin: If given, of a :class:`RunawayTermination` behind the curriculum, m/s and rad/s.
         runaway_penalty: Added to the reward of a runaway.
+        stored_once: Whether collected steps hold the history at the root alone, and reward terms in ``next`` alone:
+            a :class:`StoredOnce` behind all others.
         **curriculum: Further arguments of :class:`CommandCurriculum`, such as ``window``, ``grid`` or
             ``seed``.
 
@@ -59,4 +63,5 @@ def riding_transforms(
         ObservationHistory(history_length, include_current=include_current),
         StaggeredCounter(max_steps, curriculum.get("seed"), stagger) if stagger else StepCounter(max_steps),
         RewardSum(),
+        *([StoredOnce(at_root=["history"], in_next=["reward_terms"])] if stored_once else []),
     )

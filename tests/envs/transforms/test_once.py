@@ -1,0 +1,70 @@
+from __future__ import annotations
+
+import pytest
+import torch
+from torchrl.collectors import Collector
+from torchrl.envs import SerialEnv
+from torchrl.envs.utils import check_env_specs
+
+from torchrl_atr.envs import make_riding_env
+from torchrl_atr.envs.task.rewards import REWARD_TERMS
+from torchrl_atr.envs.transforms import StoredOnce
+
+
+def collect(stored_once, steps=30):
+    """Batches of robots whose episodes end at different times."""
+    env = make_riding_env(num_envs=6, num_threads=1, seed=0, max_steps=12, stagger=1, stored_once=stored_once)
+    lean = torch.linspace(-1.0, 1.0, 6)[:, None].expand(6, 12)
+    collector = Collector(env, lambda state: state.set("action", lean), frames_per_batch=6 * steps, trust_policy=True)
+    batch = next(iter(collector))
+    collector.shutdown()
+    return batch
+
+
+def test_what_is_stored_is_what_was_stored_but_once():
+    once, twice = collect(True), collect(False)
+    dropped = {("next", "history"), *(("reward_terms", name) for name in REWARD_TERMS)}
+    kept = set(once.keys(True, True))
+    assert {key for key in twice.keys(True, True) if isinstance(key, tuple) or key != "reward_terms"} - kept == dropped
+    assert len(twice["next", "done"].any(0).nonzero()) > 5
+    for key in kept:
+        assert torch.equal(once[key], twice[key]), key
+
+
+def test_specs_tell_that_what_is_in_next_alone_is_not_observed():
+    env = make_riding_env(num_envs=2, num_threads=1, seed=0)
+    env.append_transform(StoredOnce(in_next=["reward_terms"]))
+    check_env_specs(env)
+    assert "reward_terms" not in env.observation_spec
+    assert "reward_terms" not in env.reset()
+    assert set(env.fake_tensordict()["next", "reward_terms"].keys()) == set(REWARD_TERMS)
+
+
+def test_steps_alone_hold_all_and_what_collectors_store_does_not():
+    env = make_riding_env(num_envs=2, num_threads=1, seed=0, stored_once=True)
+    root = env.rand_action(env.reset())
+    assert "history" in env.step(root.clone())["next"]  # as TorchRL's step_mdp needs it
+    stored, following = env.step_and_maybe_reset(root)
+    assert "history" not in stored["next"]
+    assert following["history"].shape == (2, 10, 46)
+    assert set(stored.keys(True, True)) == set(env.fake_tensordict().keys(True, True))
+
+
+@pytest.mark.parametrize("where", ["at_root", "in_next"])
+def test_an_unknown_entry_is_named(where):
+    env = make_riding_env(num_envs=1, num_threads=1, seed=0).append_transform(StoredOnce(**{where: ["histroy"]}))
+    with pytest.raises(KeyError, match=r"histroy.*history"):
+        _ = env.observation_spec
+
+
+def test_workers_of_a_batched_env_refuse_it():
+    def worker():
+        return make_riding_env(num_envs=1, num_threads=1, seed=0, stored_once=True)
+
+    with pytest.raises(RuntimeError, match=r"StoredOnce.*wrap it"):
+        SerialEnv(2, worker).reset()
+
+
+def test_it_cannot_be_applied_to_data():
+    with pytest.raises(NotImplementedError, match="environment"):
+        StoredOnce().forward(make_riding_env(num_envs=1, num_threads=1, seed=0).reset())

@@ -1,0 +1,88 @@
+"""What a collector needs to store once, not at the root and in ``next``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NoReturn
+
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torchrl.data import Composite, TensorSpec
+from torchrl.envs.transforms import Transform
+
+
+class StoredOnce(Transform):
+    """Keeps entries out of ``next``, or out of the root, of what :class:`~torchrl.collectors.Collector` stores.
+
+    TorchRL stores every observation twice. The history at the root of a step is all that policies and estimators read
+    of it, and makes up most of a step; what says how a step went, such as reward terms, is of no use at the root of the
+    next one, to which it would be carried, and merged with every reset.
+
+    Place it last. Loss modules that read histories of ``next`` need them there; :class:`~torchrl.envs.ParallelEnv`
+    knows only of what is observed: put this around it, not into its workers.
+
+    Args:
+        at_root: observations that ``next`` does without once they were carried to the next root.
+        in_next: entries of a step that are no observations from here on: neither resets nor roots hold them, and no
+            transform may read them there.
+
+    Example:
+        >>> from torchrl.envs import TransformedEnv
+        >>> from torchrl.testing.mocking_classes import CountingEnv
+        >>> env = TransformedEnv(CountingEnv(), StoredOnce(at_root=["observation"]))
+        >>> data = env.rollout(2)
+        >>> "observation" in data, "observation" in data["next"]
+        (True, False)
+    """
+
+    def __init__(self, at_root: Sequence[NestedKey] = (), in_next: Sequence[NestedKey] = ()) -> None:
+        super().__init__()
+        self.at_root, self.in_next = tuple(at_root), tuple(in_next)
+        self._specs: dict[NestedKey, TensorSpec] = {}
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """What is in ``next`` alone is not observed.
+
+        Raises:
+            KeyError: The environment emits no such entry.
+        """
+        for key in (*self.at_root, *self.in_next):
+            if key not in observation_spec.keys(True):
+                raise KeyError(f"{key!r} is not among the env's entries {list(observation_spec.keys())}")
+        self._specs = {key: observation_spec[key] for key in self.in_next}
+        for key in self.in_next:
+            del observation_spec[key]
+        return observation_spec
+
+    def transform_fake_tensordict(self, fake_tensordict: TensorDictBase) -> TensorDictBase:
+        """What a step holds, from which collectors make their buffers."""
+        after = fake_tensordict.get("next")
+        for key, spec in self._specs.items():
+            after.set(key, spec.zero())
+        fake_tensordict.set("next", after.exclude(*self.at_root))
+        return fake_tensordict
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
+        return tensordict_reset.exclude(*self.in_next)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict
+
+    def _post_step_mdp_hooks(
+        self, tensordict: TensorDictBase, tensordict_: TensorDictBase
+    ) -> tuple[TensorDictBase, TensorDictBase]:
+        after = tensordict.get("next")
+        for key in self.at_root:
+            after.pop(key)
+        return tensordict, tensordict_
+
+    def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
+        raise NotImplementedError("StoredOnce only works on the steps of an environment")
+
+    forward = _call
+
+    def _check_batched_worker_compat(self) -> None:
+        raise RuntimeError(
+            "StoredOnce cannot be part of what a ParallelEnv or SerialEnv runs; wrap it instead: "
+            "TransformedEnv(ParallelEnv(...), StoredOnce(...))"
+        )
