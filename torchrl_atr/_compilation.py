@@ -41,7 +41,11 @@ def compile_function(function: Callable[..., Any], any_rows: bool = False) -> Ca
             "compiled=True needs a C++ compiler on PATH, g++ (macOS: clang++) or $CXX, and Python's headers; "
             "install them, or do without"
         )
-    unchecked: dict[str, Any] = {"guard_filter_fn": torch.compiler.keep_portable_guards_unsafe}
+    unchecked: dict[str, Any] = {
+        "guard_filter_fn": torch.compiler.keep_portable_guards_unsafe,
+        "size_asserts": False,
+        "cpp.min_chunk_size": 8192,
+    }
     compiled = torch.compile(_own(function), options=unchecked)
     return _with_any_rows(compiled) if any_rows else compiled
 

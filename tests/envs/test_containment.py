@@ -13,6 +13,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs import ROBOTS, RidingEnv, get_transporter
 from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.task import core
+from torchrl_atr.envs.task.rewards import REWARD_TERMS
 from torchrl_atr.evaluation import replay
 
 BAD, STEP = 2, 7
@@ -39,7 +40,7 @@ def spoil_term(env, monkeypatch):
 
     def spoiled(*arguments, **keywords):
         reward, terms = compute(*arguments, **keywords)
-        terms["force_regulation"][BAD] = torch.nan
+        terms[list(REWARD_TERMS).index("force_regulation"), BAD] = torch.nan
         return reward, terms
 
     monkeypatch.setattr(core.rewards, "compute_rewards", spoiled)

@@ -212,8 +212,9 @@ class RidingTask:
         )
         odometry = observations.dead_reckoning(odometry, state)
         observed = self._observed(state, command, action, odometry, x_int)
-        finite = all_finite([*observed.values(), torch.stack([*terms.values()]), reward])
-        return Outcome(reward, terms, terminated, observed, finite), velocities, odometry
+        finite = all_finite([*observed.values(), terms, reward])
+        named = dict(zip(rewards.REWARD_TERMS, terms.unbind()))
+        return Outcome(reward, named, terminated, observed, finite), velocities, odometry
 
     def end(self, rows: list[int], outcome: Outcome) -> None:
         """Ends the episodes of ``rows``, in which no step can be scored: all that is left is r17.

@@ -245,9 +245,7 @@ def reward_scale(readings: Readings) -> float:
     return CONTROL_DT if readings.rewards_times_dt else 1.0
 
 
-def compute_rewards(
-    context: RewardContext, *, scale: float, clip_to_positive: bool
-) -> tuple[Tensor, dict[str, Tensor]]:
+def compute_rewards(context: RewardContext, *, scale: float, clip_to_positive: bool) -> tuple[Tensor, Tensor]:
     """All terms and their sum.
 
     Args:
@@ -256,10 +254,12 @@ def compute_rewards(
         clip_to_positive: reading A17: what is below zero is cut, then termination is added.
 
     Returns:
-        ``reward`` (N, 1) and the scaled terms by name, (N, 1) each; they add up to ``reward`` unless clipped.
+        ``reward`` (N, 1) and the scaled terms, (18, N, 1) in the order of :data:`REWARD_TERMS`; they add up to
+        ``reward`` unless clipped.
     """
-    values = scale * torch.stack([term(context) for term in REWARD_TERMS.values()]).unsqueeze(-1)
-    terms, total = dict(zip(REWARD_TERMS, values.unbind())), values.sum(0)
+    terms = scale * torch.stack([term(context) for term in REWARD_TERMS.values()]).unsqueeze(-1)
+    total = terms.sum(0)
     if clip_to_positive:
-        total = (total - terms["termination"]).clamp_min(0.0) + terms["termination"]
+        ended = terms[list(REWARD_TERMS).index("termination")]
+        total = (total - ended).clamp_min(0.0) + ended
     return total, terms

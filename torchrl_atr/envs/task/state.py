@@ -142,12 +142,13 @@ class StateReader:
 
     def _platform_euler(self, qpos: Tensor) -> Tensor:
         """Roll, pitch and yaw of P, (n, 3)."""
-        return torch.cat([qpos[:, self._tilt_qpos] @ self._roll_and_pitch, qpos[:, self._planar_qpos][:, 2:]], -1)
+        attitude = _mix(qpos[:, self._tilt_qpos], self._roll_and_pitch)
+        return torch.cat([attitude, qpos[:, self._planar_qpos][:, 2:]], -1)
 
     def _velocities(self, qvel: Tensor, euler: Tensor) -> Tensor:
         """What the next state differentiates, (n, 9 + 12): v_B, v_P, ω_P (P's attitude is ``euler``), q̇."""
         planar = qvel[:, self._planar_dof]
-        rates = torch.cat([qvel[:, self._tilt_dof] @ self._roll_and_pitch, planar[:, 2:]], -1)
+        rates = torch.cat([_mix(qvel[:, self._tilt_dof], self._roll_and_pitch), planar[:, 2:]], -1)
         platform = pad(planar[:, :2], (0, 1))  # it keeps its height
         turning = angular_velocity(euler, rates)
         return torch.cat([qvel[:, self._root_dof], platform, turning, qvel[:, self._joint_dof]], -1)
@@ -201,7 +202,7 @@ class StateReader:
             platform_acceleration=platform_acceleration,
             platform_rotation=matrix_from_euler(*platform_euler.unbind(-1)),
             platform_euler=platform_euler,
-            driving_tilt=qpos[:, self._tilt_qpos] @ self._driving,
+            driving_tilt=_mix(qpos[:, self._tilt_qpos], self._driving),
             platform_angular_velocity=platform_turning,
             platform_angular_acceleration=platform_twist,
             speeds=speeds,
@@ -212,6 +213,11 @@ class StateReader:
             com=sensed[:, sensors["com"]],
         )
         return state, now
+
+
+def _mix(angles: Tensor, matrix: Tensor) -> Tensor:
+    """``angles @ matrix``, (n, 2), written out: compiled loops need not end for it."""
+    return angles[:, :1] * matrix[0] + angles[:, 1:] * matrix[1]
 
 
 def _float(array: NDArray[np.float64]) -> Tensor:

@@ -67,8 +67,13 @@ class ObservationHistory(Transform):
         before = self._frames
         if mask is None or before is None or before.shape != shape:
             self._new_reel(first.expand(shape))
-        else:
+        elif first.requires_grad or before.requires_grad:
             self._new_reel(torch.where(mask.reshape(*shape[:-2], 1, 1), first, before))
+        else:
+            self._new_reel(before)
+            begins = mask.reshape(shape[:-2])
+            assert self._reel is not None
+            self._reel[begins, : self._end] = first[begins]
         return self._emit(tensordict_reset)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
