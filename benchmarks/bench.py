@@ -51,7 +51,7 @@ class Plan:
     sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)
     training_sizes: tuple[int, ...] = (TrainConfig.num_envs, 256, 1024)
     steps: int = TrainConfig.rollout_steps
-    rounds: int = 5
+    rounds: int = 7
     seconds: float = 0.5
     profiled: int = 8
 

@@ -49,9 +49,11 @@ def rate(step: Callable[[], int], seconds: float) -> float:
 def interleave(
     contenders: Sequence[Contender], rounds: int, seconds: float, report: Callable[[str], None] = lambda line: None
 ) -> Rates:
-    """Samples every contender once a round, after one untimed step each.
+    """Samples every contender once a round, after a round that does not count.
 
-    torch computes with as many threads as are set now, but never with more than the contender's.
+    Until then some have something to compile. Each sample follows one step that is not timed, since the contender
+    before left other things in the caches. torch computes with as many threads as are set now, but never with more than
+    the contender's.
 
     Args:
         contenders: with different keys.
@@ -71,10 +73,10 @@ def interleave(
             report(f"round {number} of {rounds}" if number else "warming up")
             for contender in contenders:
                 torch.set_num_threads(min(chosen, contender.key.threads))
+                contender.step()
+                sample = rate(contender.step, seconds)
                 if number:
-                    rates[contender.key].append(rate(contender.step, seconds))
-                else:
-                    contender.step()
+                    rates[contender.key].append(sample)
     finally:
         torch.set_num_threads(chosen)
     return rates
