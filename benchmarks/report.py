@@ -58,8 +58,8 @@ def _head(results: dict[str, Any]) -> str:
         f"{machine['cpus']}, torch threads: {machine['torch_threads']}; load average {before:.1f} before, "
         f"{after:.1f} after. {versions}.\n\n"
         f"Rates are medians of {plan['rounds']} rounds in which all contenders took turns, {plan['seconds']:g} s or "
-        "more each and one step that is not timed; ratios are of medians. A step is a robot's control step, 0.02 s. Networks are untrained "
-        "where it does not say that they ride."
+        "more each, after a step that is not timed; ratios are of medians. A step is a robot's control step, 0.02 s. "
+        "Networks are untrained where it does not say that they ride."
         + " Our envs are compiled (`compiled=True`) where it does not say otherwise; memory is without."
         * plan["compiled"]
     )

@@ -23,7 +23,7 @@ from torchrl_atr.objectives import ROAClipPPOLoss
 def main(iterations: int = 50, num_envs: int = 256, steps: int = 24, seed: int = 0) -> list[float]:
     """Trains, prints one line an iteration, and returns the mean reward of each."""
     torch.manual_seed(seed)
-    env = make_riding_env("a1", "single_board", num_envs=num_envs, seed=seed)
+    env = make_riding_env("a1", "single_board", num_envs=num_envs, seed=seed, stored_once=True)
     networks = make_networks(env.observation_spec, env.action_spec, estimator="cnn_gru")
     networks.update_normalizers(env.rollout(steps))  # means and scales of random actions, to start from
 

@@ -21,7 +21,7 @@ def compiler() -> str | None:
     return shutil.which(os.environ.get("CXX") or ("clang++" if sys.platform == "darwin" else "g++"))
 
 
-def compile_function(function: Callable[..., Any], any_rows: bool = False) -> Callable[..., Any]:
+def compile_function(function: Callable[..., Any], any_rows: bool = False, short: bool = False) -> Callable[..., Any]:
     """``function``, compiled at its first call, which takes half a minute; what it calls must be traceable by torch.
 
     torch keeps the result on disk for the next process. Other shapes or another number of torch threads are compiled
@@ -32,6 +32,8 @@ def compile_function(function: Callable[..., Any], any_rows: bool = False) -> Ca
             take a third of a millisecond a call.
         any_rows: whether it is compiled at once for any number of rows, the first dimension of its tensors, above one.
             torch's ``dynamic=True`` lets all other sizes and the bounds of slices vary too, and takes twice as long.
+        short: whether loops that would give each thread less than 8,192 elements, not 512, are left to one: for what
+            runs beside physics, whose threads take turns with torch's.
 
     Raises:
         InputError: if there is no C++ compiler, which torch needs for code on a CPU.
@@ -41,12 +43,12 @@ def compile_function(function: Callable[..., Any], any_rows: bool = False) -> Ca
             "compiled=True needs a C++ compiler on PATH, g++ (macOS: clang++) or $CXX, and Python's headers; "
             "install them, or do without"
         )
-    unchecked: dict[str, Any] = {
+    options: dict[str, Any] = {
         "guard_filter_fn": torch.compiler.keep_portable_guards_unsafe,
-        "size_asserts": False,
-        "cpp.min_chunk_size": 8192,
+        "size_asserts": False,  # guards have looked at the shapes
+        **({"cpp.min_chunk_size": 8192} if short else {}),
     }
-    compiled = torch.compile(_own(function), options=unchecked)
+    compiled = torch.compile(_own(function), options=options)
     return _with_any_rows(compiled) if any_rows else compiled
 
 
@@ -64,10 +66,10 @@ def _with_any_rows(compiled: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def compile_methods(owner: object, *names: str, any_rows: bool = False) -> None:
+def compile_methods(owner: object, *names: str, **how: bool) -> None:
     """Compiles methods of one object, in place; it cannot be pickled any more. See :func:`compile_function`."""
     for name in names:
-        setattr(owner, name, compile_function(getattr(owner, name), any_rows))
+        setattr(owner, name, compile_function(getattr(owner, name), **how))
 
 
 class CudaGraph:

@@ -59,6 +59,25 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
         collection.shutdown()
 
 
+def test_an_older_checkpoint_carries_reward_terms_no_further():
+    *_, collection = start("direct")
+    collection.collect()
+    state = collection.state_dict()
+    state["carried"]["reward_terms"] = {"termination": torch.zeros(8, 1)}
+    collection.load_state_dict(state)
+    assert "reward_terms" not in collection.collector._carrier
+    collection.shutdown()
+
+
+def test_what_the_learner_adds_to_a_batch_is_not_in_the_next_one():
+    _, learner, collection = start("direct")
+    batch = collection.collect()
+    collected = set(batch.keys(True, True))
+    learner.update(batch)
+    assert set(collection.collect().keys(True, True)) == collected
+    collection.shutdown()
+
+
 def test_robots_must_divide_among_the_workers():
     with pytest.raises(ConfigError, match="num_envs=7 cannot be shared evenly by workers=2"):
         make_config({**TINY, "num_envs": 7, "collector": "process"})

@@ -9,7 +9,7 @@ import torch
 
 from torchrl_atr.cli import main
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.training import Trainer, load_checkpoint, make_config
+from torchrl_atr.training import CheckpointError, Trainer, load_checkpoint, make_config
 
 TINY = {"num_envs": 8, "rollout_steps": 8, "total_frames": 64, "num_threads": 1, "gamma": 0.9, "max_speed": 3.0}
 
@@ -49,6 +49,19 @@ def test_optimisers_go_on_where_the_other_run_ended_with_settings_of_their_own(p
     slower = make_config({**TINY, "learning_rate": rate / 2})
     begun = Trainer(slower, tmp_path / "slower", start=parent).learner
     assert begun.schedule.get_last_lr() == [pytest.approx(rate / 2)]
+
+
+def test_moments_of_other_parameters_are_refused_by_name(parent, tmp_path):
+    learner = Trainer(make_config(TINY), tmp_path / "run", start=parent).learner
+    for damage in (
+        lambda saved: saved["state"][0].update(exp_avg=torch.zeros(3)),
+        lambda saved: saved["param_groups"][0]["params"].append(99),
+    ):
+        state = load_checkpoint(parent)["learner"]
+        damage(state["optimizers"]["critic"])
+        for load in (learner.begin_from, learner.load_state_dict):
+            with pytest.raises(CheckpointError, match="'critic' optimiser"):
+                load(state)
 
 
 def test_the_command_line_keeps_the_settings_and_says_where_the_run_comes_from(parent, tmp_path):

@@ -121,7 +121,9 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", type=_path, metavar="RUN", help=f"the run folder; default: {DEFAULT_RUN}")
     parser.add_argument("--overwrite", action="store_const", const=True, help="replace a run in that folder")
     parser.add_argument("--resume", type=_run, metavar="RUN", help="go on with this run as if it had not stopped")
-    begin_text = "begin a new run with this one's networks, command grid and settings, those given here excepted"
+    begin_text = (
+        "begin a new run with this one's networks, optimisers, command grid and settings, those given here excepted"
+    )
     parser.add_argument("--from", dest="start", type=_run, metavar="RUN", help=begin_text)
 
 

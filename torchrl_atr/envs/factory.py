@@ -65,8 +65,8 @@ def make_riding_env(
         window: control steps that a command lasts (5 s at 50 Hz).
         grid: the curriculum's cells and update rule; None for the paper's.
         runaway_margin: end episodes of transporters faster than any command by this much, m/s and rad/s (for training).
-        stored_once: whether collected steps hold the history at the root alone, and reward terms in ``next`` alone, for
-            a tenth more steps a second: see :class:`~torchrl_atr.envs.transforms.StoredOnce`.
+        stored_once: whether collected steps hold the history at the root alone, and reward terms in ``next`` alone (for
+            training): see :class:`~torchrl_atr.envs.transforms.StoredOnce`.
         **curriculum: further arguments of :class:`~torchrl_atr.envs.transforms.CommandCurriculum`.
 
     Returns:

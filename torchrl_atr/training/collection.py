@@ -117,7 +117,9 @@ class Collection:
         """
         with self._workers():
             batch = next(self._batches)
-        return batch.contiguous().flatten(0, 1) if batch.ndim == 3 else batch  # stacked lazily by worker
+        if batch.ndim == 3:  # stacked lazily by worker
+            return batch.contiguous().flatten(0, 1)
+        return batch.copy()  # what is added to it is not the collector's
 
     def publish(self) -> None:
         """Hands the learner's parameters to the workers.
@@ -206,8 +208,8 @@ class Collection:
         base.task.num_diverged = state["num_diverged"]
         for name, part in self._stateful():
             part.set_extra_state(state["policy"][name])
-        carrier, carried = self.collector._carrier, TensorDict(state["carried"], batch_size=base.batch_size)
-        carrier.update(carried.select(*carrier.keys(True, True), strict=False))
+        carried = TensorDict(state["carried"], batch_size=base.batch_size)
+        self.collector._carrier.update(carried.exclude("reward_terms"))  # which were carried once
 
     def _stateful(self) -> list[tuple[str, Any]]:
         """Parts of the policy with a state that is no parameter: noise that runs on."""

@@ -60,7 +60,7 @@ class TrainConfig:
         gamma, gae_lambda: discount and GAE's λ.
         epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
         learning_rate, max_learning_rate, target_kl: of the policy; adapted to the measured KL divergence. A run that
-            begins with another's networks goes on at that one's rate if it is lower.
+            begins with another's networks begins at that one's last rate if it is lower.
         final_kl: what ``target_kl`` sinks to while the exploration is annealed, so that the policy settles.
         critic_learning_rate, estimator_learning_rate: fixed.
         clip_epsilon, entropy_coeff, max_grad_norm: PPO.

@@ -17,7 +17,7 @@ from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.guard import StepGuard
-from torchrl_atr.training.restoring import deployed_weights
+from torchrl_atr.training.restoring import deployed_weights, fitting_moments
 
 _YOUNG = 9
 """Early in a run the mean goes over a ninth of its iterations: what was learned since counts."""
@@ -248,7 +248,8 @@ class Learner:
         self.deployed.load_state_dict(deployed_weights(state))
         self._averaged.n_averaged.fill_(state.get("averaged", 0))
         for name, optimizer in self.optimizers.items():
-            optimizer.load_state_dict(state["optimizers"][name])
+            moments = fitting_moments(optimizer, state["optimizers"][name], name)
+            optimizer.load_state_dict({**state["optimizers"][name], "state": moments})
             for group in optimizer.param_groups:
                 group["capturable"] = self.config.captures_graphs  # as this run needs it, not the one before
         self._steps = self._make_steps()  # graphs that were captured change tensors that are no longer read
@@ -266,7 +267,8 @@ class Learner:
         """
         theirs = state["optimizers"]
         for name, optimizer in self.optimizers.items():
-            optimizer.load_state_dict({**optimizer.state_dict(), "state": theirs[name]["state"]})
+            moments = fitting_moments(optimizer, theirs[name], name)
+            optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
         rate = float(theirs["policy"]["param_groups"][0]["lr"])
         self.schedule.set_rate(min(rate, self.config.learning_rate))
 

@@ -94,6 +94,31 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
     networks.load_state_dict(dict(weights))
 
 
+def fitting_moments(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any], name: str) -> dict[int, dict[str, Any]]:
+    """The moments in an optimiser's saved state, which a fused step would read and write whatever their shapes.
+
+    Args:
+        optimizer: that is to go on with them.
+        saved: the ``state_dict`` of another.
+        name: of both, for messages.
+
+    Raises:
+        CheckpointError: if they are of other parameters.
+    """
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    fits = sum(len(group["params"]) for group in saved["param_groups"]) == len(parameters) and all(
+        value.ndim == 0 or value.shape == parameters[index].shape
+        for index, moments in saved["state"].items()
+        for value in moments.values()
+    )
+    if not fits:
+        raise CheckpointError(
+            f"the moments of the {name!r} optimiser in the checkpoint are of other parameters than it has here; use "
+            "the code, the settings and the estimator that trained them"
+        )
+    return saved["state"]
+
+
 def _shapes(weights: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
     """By name; what is no tensor, a module's extra state, is not compared."""
     return {name: tuple(value.shape) for name, value in weights.items() if isinstance(value, Tensor)}

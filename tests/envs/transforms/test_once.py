@@ -50,11 +50,32 @@ def test_steps_alone_hold_all_and_what_collectors_store_does_not():
     assert set(stored.keys(True, True)) == set(env.fake_tensordict().keys(True, True))
 
 
+def test_a_root_from_elsewhere_hands_nothing_on():
+    plain = make_riding_env(num_envs=2, num_threads=1, seed=0)
+    root = plain.rand_step(plain.reset())["next"]
+    assert "reward_terms" in root
+    env = make_riding_env(num_envs=2, num_threads=1, seed=0, stored_once=True)
+    env.reset()
+    _, following = env.step_and_maybe_reset(env.rand_action(root.exclude("reward")))
+    assert "reward_terms" not in following
+
+
+def test_all_but_the_last_step_of_a_rollout_that_does_not_stop():
+    env = make_riding_env(num_envs=2, num_threads=1, seed=0, stored_once=True)
+    steps = env.rollout(4, break_when_any_done=False)["next"].unbind(-1)
+    assert ["history" in step for step in steps] == [False, False, False, True]
+
+
 @pytest.mark.parametrize("where", ["at_root", "in_next"])
-def test_an_unknown_entry_is_named(where):
-    env = make_riding_env(num_envs=1, num_threads=1, seed=0).append_transform(StoredOnce(**{where: ["histroy"]}))
-    with pytest.raises(KeyError, match=r"histroy.*history"):
+@pytest.mark.parametrize(
+    ("wrong", "meant"), [("histroy", "history"), (("reward_terms", "terminaton"), "('reward_terms', 'termination')")]
+)
+def test_an_unknown_entry_is_named(where, wrong, meant):
+    env = make_riding_env(num_envs=1, num_threads=1, seed=0).append_transform(StoredOnce(**{where: [wrong]}))
+    with pytest.raises(KeyError) as error:
         _ = env.observation_spec
+    assert str(wrong) in error.value.args[0]
+    assert meant in error.value.args[0]
 
 
 def test_workers_of_a_batched_env_refuse_it():

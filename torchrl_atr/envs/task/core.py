@@ -101,8 +101,8 @@ class RidingTask:
         self.odometry = torch.zeros(n, 3)
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
         if compiled:
-            compile_methods(self, "_assess")
-            compile_methods(self, "_open", any_rows=True)  # any number of robots begins
+            compile_methods(self, "_assess", short=True)
+            compile_methods(self, "_open", short=True, any_rows=True)  # any number of robots begins
         self.begin(np.arange(n))
 
     @torch.no_grad()

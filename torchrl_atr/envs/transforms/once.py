@@ -10,6 +10,8 @@ from tensordict.utils import NestedKey
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs.transforms import Transform
 
+from torchrl_atr._registry import nearest
+
 
 class StoredOnce(Transform):
     """Keeps entries out of ``next``, or out of the root, of what :class:`~torchrl.collectors.Collector` stores.
@@ -18,8 +20,10 @@ class StoredOnce(Transform):
     of it, and makes up most of a step; what says how a step went, such as reward terms, is of no use at the root of the
     next one, to which it would be carried, and merged with every reset.
 
-    Place it last. Loss modules that read histories of ``next`` need them there; :class:`~torchrl.envs.ParallelEnv`
-    knows only of what is observed: put this around it, not into its workers.
+    Place it last. It is for collectors, and for rollouts that stop when an env is done: others keep all of their last
+    step. What is stored in ``next`` is no root to go on from, and TorchRL's ``check_env_specs`` insists on all that is
+    observed being there. Loss modules that read histories of ``next`` need them, too.
+    :class:`~torchrl.envs.ParallelEnv` knows only of what is observed: put this around it, not into its workers.
 
     Args:
         at_root: observations that ``next`` does without once they were carried to the next root.
@@ -48,7 +52,9 @@ class StoredOnce(Transform):
         """
         for key in (*self.at_root, *self.in_next):
             if key not in observation_spec.keys(True):
-                raise KeyError(f"{key!r} is not among the env's entries {list(observation_spec.keys())}")
+                entries = f"there are {', '.join(observation_spec.keys())}"
+                similar = nearest(str(key), map(str, observation_spec.keys(True, True)), otherwise=entries)
+                raise KeyError(f"the env has no entry {key!r}; {similar}")
         self._specs = {key: observation_spec[key] for key in self.in_next}
         for key in self.in_next:
             del observation_spec[key]
@@ -73,7 +79,9 @@ class StoredOnce(Transform):
     ) -> tuple[TensorDictBase, TensorDictBase]:
         after = tensordict.get("next")
         for key in self.at_root:
-            after.pop(key)
+            after.pop(key, None)
+        for key in self.in_next:
+            tensordict_.pop(key, None)  # of a root that was not reset here
         return tensordict, tensordict_
 
     def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
