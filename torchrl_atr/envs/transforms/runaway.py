@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NoReturn
 
-import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.envs.transforms import Transform
@@ -53,8 +52,9 @@ class RunawayTermination(Transform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         speeds = next_tensordict.get(self.in_keys[0])
-        limit = torch.tensor(self._curriculum[0].frontier) + torch.tensor(self.margin)
-        away = (speeds.abs() > limit.to(speeds)).any(-1, keepdim=True)
+        reach = zip(self._curriculum[0].frontier, self.margin, strict=True)
+        limit = speeds.new_tensor([largest + margin for largest, margin in reach])
+        away = (speeds.abs() > limit).any(-1, keepdim=True)
         cost = self.penalty * (away & ~next_tensordict.get("terminated"))
         for key in self.reward_keys if self.penalty else ():
             next_tensordict.set(key, next_tensordict.get(key) + cost)
