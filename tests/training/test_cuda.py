@@ -27,6 +27,8 @@ def test_it_trains_there_and_goes_on_and_rides_without_it(tmp_path, compiled):
     assert all(torch.isfinite(torch.tensor(list(m.values()))).all() for m in metrics)
     _, env, networks, _ = load_run(tmp_path / "run", num_envs=2)
     assert env.rollout(3, networks.deployed_policy())["action"].device.type == "cpu"
+    begun = Trainer(make_config({**SETTINGS, "compiled": compiled}), tmp_path / "begun", start=tmp_path / "run")
+    assert begun.train() is None
     state = load_checkpoint(tmp_path / "run")
     resumed = Trainer(
         run_config(state, tmp_path, device="cpu", compiled=False, total_frames=4 * 64), tmp_path / "run", state
