@@ -7,9 +7,13 @@ import importlib
 import os
 import sys
 from collections.abc import Iterable, Sequence
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from torchrl_atr._errors import InputError, UserError
+
+if TYPE_CHECKING:  # names of robots are looked up without them
+    from tensordict import NestedKey, TensorDictBase
+    from torchrl.data import Composite
 
 T = TypeVar("T")
 
@@ -50,6 +54,18 @@ def nearest(name: str, known: Iterable[str], otherwise: str | None = None) -> st
     if close:
         return f"did you mean {names[close[0]]!r}?"
     return f"there are {', '.join(names.values()) or 'none'}" if otherwise is None else otherwise
+
+
+def nearest_entry(key: NestedKey, entries: TensorDictBase | Composite) -> str:
+    """What to say to someone who asked for ``key``: the most similar of all entries, else the names at the root.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> nearest_entry("hights", TensorDict(heights=0.0, speeds=0.0))
+        "did you mean 'heights'?"
+    """
+    roots = f"there are {', '.join(entries.keys())}"
+    return nearest(str(key), map(str, entries.keys(True, True)), otherwise=roots)
 
 
 class Registry(Generic[T]):

@@ -117,9 +117,7 @@ class Collection:
         """
         with self._workers():
             batch = next(self._batches)
-        if batch.ndim == 3:  # stacked lazily by worker
-            return batch.contiguous().flatten(0, 1)
-        return batch.copy()  # what is added to it is not the collector's
+        return batch.contiguous().flatten(0, 1) if batch.ndim == 3 else batch  # stacked lazily by worker
 
     def publish(self) -> None:
         """Hands the learner's parameters to the workers.

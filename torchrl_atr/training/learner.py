@@ -17,7 +17,7 @@ from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.guard import StepGuard
-from torchrl_atr.training.restoring import deployed_weights, fitting_moments
+from torchrl_atr.training.restoring import check_moments, deployed_weights
 
 _YOUNG = 9
 """Early in a run the mean goes over a ninth of its iterations: what was learned since counts."""
@@ -137,7 +137,8 @@ class Learner:
             TrainingDiverged: if there is none that is finite any more.
         """
         with torch.no_grad():
-            batch = self._emphasized(_moved(batch, torch.device(self.config.device)))
+            # a copy: what is added to it, and the weighted reward, is not the caller's
+            batch = self._emphasized(_moved(batch.copy(), torch.device(self.config.device)))
             batch = self.advantage(batch)
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
             chatter = (batch["loc"] - batch["previous_mean"]).square().mean().sqrt()
@@ -248,8 +249,8 @@ class Learner:
         self.deployed.load_state_dict(deployed_weights(state))
         self._averaged.n_averaged.fill_(state.get("averaged", 0))
         for name, optimizer in self.optimizers.items():
-            moments = fitting_moments(optimizer, state["optimizers"][name], name)
-            optimizer.load_state_dict({**state["optimizers"][name], "state": moments})
+            check_moments(optimizer, state["optimizers"][name], name)
+            optimizer.load_state_dict(state["optimizers"][name])
             for group in optimizer.param_groups:
                 group["capturable"] = self.config.captures_graphs  # as this run needs it, not the one before
         self._steps = self._make_steps()  # graphs that were captured change tensors that are no longer read
@@ -267,8 +268,8 @@ class Learner:
         """
         theirs = state["optimizers"]
         for name, optimizer in self.optimizers.items():
-            moments = fitting_moments(optimizer, theirs[name], name)
-            optimizer.load_state_dict({**optimizer.state_dict(), "state": moments})
+            check_moments(optimizer, theirs[name], name)
+            optimizer.load_state_dict({**optimizer.state_dict(), "state": theirs[name]["state"]})
         rate = float(theirs["policy"]["param_groups"][0]["lr"])
         self.schedule.set_rate(min(rate, self.config.learning_rate))
 

@@ -94,8 +94,8 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
     networks.load_state_dict(dict(weights))
 
 
-def fitting_moments(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any], name: str) -> dict[int, dict[str, Any]]:
-    """The moments in an optimiser's saved state, which a fused step would read and write whatever their shapes.
+def check_moments(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any], name: str) -> None:
+    """Checks the moments in an optimiser's saved state, which a fused step would read and write whatever their shapes.
 
     Args:
         optimizer: that is to go on with them.
@@ -116,7 +116,6 @@ def fitting_moments(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any], 
             f"the moments of the {name!r} optimiser in the checkpoint are of other parameters than it has here; use "
             "the code, the settings and the estimator that trained them"
         )
-    return saved["state"]
 
 
 def _shapes(weights: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import Transform
 
-from torchrl_atr._registry import nearest
+from torchrl_atr._registry import nearest_entry
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.rows import CommandRows
 from torchrl_atr.envs.transforms.seeding import make_generator
@@ -186,7 +186,7 @@ class CommandCurriculum(Transform):
             rest = tensordict_reset.get(self.rest_key, None)
             if rest is None:
                 raise KeyError(
-                    f"rest_key {self.rest_key!r} is not in the reset; {_similar(self.rest_key, tensordict_reset)}"
+                    f"rest_key {self.rest_key!r} is not in the reset; {nearest_entry(self.rest_key, tensordict_reset)}"
                 )
             moving = (rest != 0).reshape(-1, rest.shape[-1]).any(-1)
             self.rows.cells.masked_fill_(self._started & moving.to(self._started.device), -1)
@@ -272,7 +272,9 @@ class CommandCurriculum(Transform):
         scores = [next_tensordict.get(key, None) for key in self.in_keys]
         for key, score in zip(self.in_keys, scores):
             if score is None:
-                raise KeyError(f"tracking key {key!r} is not in the step's output; {_similar(key, next_tensordict)}")
+                raise KeyError(
+                    f"tracking key {key!r} is not in the step's output; {nearest_entry(key, next_tensordict)}"
+                )
             if score.numel() != len(self.rows.elapsed):
                 needed = (*next_tensordict.batch_size, 1)
                 raise ValueError(f"tracking key {key!r} has shape {tuple(score.shape)}; a score needs {needed}")
@@ -294,8 +296,3 @@ class CommandCurriculum(Transform):
             commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
             self.rows.command.index_copy_(0, index, commands.to(self.rows.command.dtype))
             self.rows.cells.index_copy_(0, index, cells)
-
-
-def _similar(key: NestedKey, tensordict: TensorDictBase) -> str:
-    roots = f"there are {', '.join(tensordict.keys())}"
-    return nearest(str(key), map(str, tensordict.keys(True, True)), otherwise=roots)

@@ -10,7 +10,7 @@ from tensordict.utils import NestedKey
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs.transforms import Transform
 
-from torchrl_atr._registry import nearest
+from torchrl_atr._registry import nearest_entry
 
 
 class StoredOnce(Transform):
@@ -52,9 +52,7 @@ class StoredOnce(Transform):
         """
         for key in (*self.at_root, *self.in_next):
             if key not in observation_spec.keys(True):
-                entries = f"there are {', '.join(observation_spec.keys())}"
-                similar = nearest(str(key), map(str, observation_spec.keys(True, True)), otherwise=entries)
-                raise KeyError(f"the env has no entry {key!r}; {similar}")
+                raise KeyError(f"the env has no entry {key!r}; {nearest_entry(key, observation_spec)}")
         self._specs = {key: observation_spec[key] for key in self.in_next}
         for key in self.in_next:
             del observation_spec[key]
