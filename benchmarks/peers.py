@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
@@ -55,10 +56,15 @@ def gymnasium_ant(workers: int) -> Contender:
 
 def available() -> tuple[list[Peer], dict[str, str]]:
     """The peers that can run here, and why the others cannot, by name."""
-    peers: list[Peer] = [dm_control, torchrl_ant]
+    optional = {
+        "dm_control": (dm_control, "dm_control", "torchrl_atr[suite]"),
+        "gymnasium_ant": (gymnasium_ant, "gymnasium", "gymnasium[mujoco]"),
+    }
+    peers: list[Peer] = [torchrl_ant]
     skipped = {"mjbatch": SKIPPED_MJBATCH}
-    if find_spec("gymnasium") is None:
-        skipped["gymnasium_ant"] = 'not installed; pip install "gymnasium[mujoco]" adds it'
-    else:
-        peers.append(gymnasium_ant)
+    for name, (peer, package, requirement) in optional.items():
+        if sys.modules.get(package, package) is None or find_spec(package) is None:
+            skipped[name] = f'not installed; pip install "{requirement}" adds it'
+        else:
+            peers.append(peer)
     return peers, skipped

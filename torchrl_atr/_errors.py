@@ -13,6 +13,22 @@ class InputError(UserError, ValueError):
     """An argument with an impossible value, where no narrower error says more."""
 
 
+class MissingPackageError(UserError, ImportError):
+    """A package of an optional extra that is not installed.
+
+    Args:
+        package: its name.
+        extra: of ``torchrl_atr``, which installs it.
+
+    Example:
+        >>> print(MissingPackageError("dm_control", "suite"))
+        dm_control is not installed; pip install 'torchrl_atr[suite]'
+    """
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f"{package} is not installed; pip install 'torchrl_atr[{extra}]'")
+
+
 def first_line(error: BaseException) -> str:
     r"""What another library's error says, in a line of ours.
 

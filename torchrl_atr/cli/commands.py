@@ -14,6 +14,7 @@ from torchrl_atr.cli.parser import DEFAULT_RUN, PLACES, RESUMABLE, SETTINGS, opt
 from torchrl_atr.listings import LISTINGS
 
 if TYPE_CHECKING:
+    from torchrl_atr._threads import TorchThreads
     from torchrl_atr.training import TrainConfig
 
 _HEADLINES = (
@@ -83,6 +84,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     """``torchrl-atr evaluate``."""
     from functools import partial
 
+    from torchrl_atr._threads import TorchThreads
     from torchrl_atr.evaluation import command_grid, evaluate_tracking, figures, tracking_metrics, write_report
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
@@ -91,15 +93,16 @@ def evaluate(arguments: argparse.Namespace) -> None:
     config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), num_envs=1, **deck)
     env.close()
     make_folder(output)
-    result = evaluate_tracking(
-        networks.deployed_policy(),
-        partial(make_env, config, randomization=arguments.randomization, **deck, **DEPLOYED),
-        command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
-        robots_per_command=arguments.robots_per_command,
-        seed=arguments.seed,
-        encoder_module=networks.encoder_module,
-        progress=_show_steps,
-    )
+    with TorchThreads() as threads:
+        result = evaluate_tracking(
+            networks.deployed_policy(),
+            partial(make_env, config, randomization=arguments.randomization, **deck, **DEPLOYED),
+            command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
+            robots_per_command=arguments.robots_per_command,
+            seed=arguments.seed,
+            encoder_module=networks.encoder_module,
+            progress=partial(_show_steps, threads),
+        )
     metrics = tracking_metrics(result)
     metrics["evaluation"] = {
         "transporter": env.base_env.scene.transporter.name,
@@ -141,7 +144,8 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     return output
 
 
-def _show_steps(done: int, total: int) -> None:
+def _show_steps(threads: TorchThreads, done: int, total: int) -> None:
+    threads.update()
     if done % 50 == 0 or done == total:
         sys.stdout.write(f"\revaluating: {done} of {total} control steps" + ("\n" if done == total else ""))
         sys.stdout.flush()

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from dm_control.rl import control
-from dm_env import specs
 from numpy.typing import ArrayLike, NDArray
 
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec, build_scene, get_robot, get_transporter
@@ -17,6 +15,9 @@ from torchrl_atr.envs.physics.engine import DECIMATION
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
 from torchrl_atr.envs.task.randomization import Randomization
+
+from dm_control.rl import control  # isort: skip  # after dmc, which says what to install
+from dm_env import specs  # isort: skip
 
 
 def load(

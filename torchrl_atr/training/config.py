@@ -49,6 +49,7 @@ class TrainConfig:
         seed: of everything.
         device: of the learner; physics stays on the CPU.
         num_threads: physics threads; 0 for the CPUs this process may use.
+        torch_threads: threads of torch; 0 for the CPUs this process may use, and fewer while others use them.
         compiled: whether ``torch.compile`` makes few loops of what the task computes at every step and, where the
             learner is on the CPU, of policy and losses, and on a GPU makes CUDA graphs of policy and optimiser steps; a
             resumed run is then the uninterrupted one to rounding.
@@ -114,6 +115,7 @@ class TrainConfig:
     seed: int = 0
     device: str = "cpu"
     num_threads: int = 0
+    torch_threads: int = 0
     compiled: bool = False
     collector: str = "direct"
     workers: int = 2

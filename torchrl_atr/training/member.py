@@ -12,13 +12,14 @@ from typing import Any
 import torch
 from torchrl.envs import TransformedEnv
 
+from torchrl_atr._threads import TorchThreads
 from torchrl_atr.envs.task.rewards import MAX_TRACKING, reward_scale
 from torchrl_atr.training.assembly import make_env, make_policy, make_run_networks
 from torchrl_atr.training.collection import Collection
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
-from torchrl_atr.training.team import Team, torch_threads
+from torchrl_atr.training.team import Team
 
 DUMPS = "diverged"
 """Folder of a run that simulations which failed are written to."""
@@ -33,10 +34,11 @@ class Member:
         learner: whose networks ride.
         collection: of this process's robots.
         team: those it learns with.
+        threads: of torch, adapted at every iteration.
     """
 
-    def __init__(self, learner: Learner, collection: Collection, team: Team) -> None:
-        self.learner, self.collection, self.team = learner, collection, team
+    def __init__(self, learner: Learner, collection: Collection, team: Team, threads: TorchThreads) -> None:
+        self.learner, self.collection, self.team, self.threads = learner, collection, team, threads
         scale = reward_scale(collection.env.base_env.readings)
         self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
 
@@ -60,6 +62,7 @@ class Member:
         Returns:
             In the leader, metrics of all batches.
         """
+        self.threads.update()
         self.learner.anneal(progress)
         started = time.monotonic()
         batch = self.collection.collect()
@@ -80,6 +83,7 @@ class Member:
         diverged = self.collection.num_diverged  # asks the workers
         if diverged is not None:
             metrics["diverged"] = diverged
+        metrics["torch_threads"] = self.threads.count
         metrics["collect_seconds"], metrics["learn_seconds"] = collected - started, time.monotonic() - collected
         return _summary(self.team.gather(metrics))
 
@@ -93,12 +97,20 @@ class Member:
         torch.set_rng_state(state["rng"])  # last: building all this drew from it
 
 
+def torch_threads(config: TrainConfig) -> TorchThreads:
+    """Return torch's threads for one process of a run, as a context manager."""
+    share = 0 if config.learners == 1 else config.threads_each(config.learners)
+    return TorchThreads(config.torch_threads or share, adaptive=config.torch_threads == 0)
+
+
 def env_maker(config: TrainConfig, run: Path) -> Callable[..., TransformedEnv]:
     """Makes envs of a run, in any process; see :func:`~torchrl_atr.training.make_env` for what it takes."""
     return partial(make_env, config, dump_dir=run.resolve() / DUMPS)
 
 
-def make_member(learner: Learner, env: TransformedEnv, team: Team, run: Path, started: int = 0) -> Member:
+def make_member(
+    learner: Learner, env: TransformedEnv, team: Team, run: Path, threads: TorchThreads, started: int = 0
+) -> Member:
     """A member around a learner and an env; workers start.
 
     Args:
@@ -106,11 +118,12 @@ def make_member(learner: Learner, env: TransformedEnv, team: Team, run: Path, st
         env: its env.
         team: those it learns with.
         run: the run folder.
+        threads: of torch.
         started: iterations that the run has behind it.
     """
     config = learner.config
     policy = make_policy(config, learner.networks)
-    return Member(learner, Collection(config, env, env_maker(config, run), policy, started), team)
+    return Member(learner, Collection(config, env, env_maker(config, run), policy, started), team, threads)
 
 
 def assist(team: Team, config: TrainConfig, run: Path) -> None:
@@ -123,13 +136,13 @@ def assist(team: Team, config: TrainConfig, run: Path) -> None:
     """
     share = config.share(team.rank)
     torch.manual_seed(share.seed)
-    with torch_threads(share.num_threads):
+    with torch_threads(config) as threads:
         env = env_maker(share, run)()
         learner = Learner(make_run_networks(share, env), share)
         start = team.share(None)
         learner.load_state_dict(start["learner"])
         env.transform[0].load_weights(start["weights"])
-        member = make_member(learner, env, team, run, start["iteration"])
+        member = make_member(learner, env, team, run, threads, start["iteration"])
         if start["members"]:
             member.load_state(start["members"][team.rank])
         member.follow()

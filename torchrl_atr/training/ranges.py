@@ -14,6 +14,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "max_minutes": (0, 1e9),
     "seed": (0, 2**31 - 1),
     "num_threads": (0, 4096),
+    "torch_threads": (0, 4096),
     "workers": (1, 4096),
     "learners": (1, 4096),
     "gamma": (0, 0.99999),

@@ -29,17 +29,6 @@ _GLANCE = 0.05
 _HOST = "127.0.0.1"
 
 
-@contextmanager
-def torch_threads(count: int | None) -> Iterator[None]:
-    """Has torch use ``count`` threads, and afterwards as many as before; None changes nothing."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(count or before)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
 class TeamError(UserError, RuntimeError):
     """A member of a team that died or could not be started."""
 

@@ -19,11 +19,11 @@ from torchrl_atr.training.collection import CollectionError
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.interrupt import Interrupt
 from torchrl_atr.training.learner import Learner
-from torchrl_atr.training.member import DUMPS, Member, assist, env_maker, make_member
+from torchrl_atr.training.member import DUMPS, Member, assist, env_maker, make_member, torch_threads
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import check_parts, deployed_weights, load_networks
-from torchrl_atr.training.team import Team, torch_threads
+from torchrl_atr.training.team import Team
 
 _MEMORY = 0.05
 """Weight of an iteration in the running mean of the episode reward."""
@@ -41,7 +41,7 @@ class Trainer:
             begins, at its policy's learning rate if that is lower; all else is new.
 
     Attributes:
-        torch_threads: how many torch uses while several learn; None for as many as it does.
+        threads: of torch.
 
     Raises:
         CheckpointError: if the networks of either do not fit the settings.
@@ -60,7 +60,7 @@ class Trainer:
         other = None if start is None else _read_other(Path(start), run)
         torch.manual_seed(config.seed)
         share = config.share(0)
-        self.torch_threads = None if config.learners == 1 else share.num_threads
+        self.threads = torch_threads(config)
         self.env = env_maker(share, run)()
         self.curriculum = self.env.transform[0]
         networks = make_run_networks(share, self.env)
@@ -73,7 +73,7 @@ class Trainer:
         if state is None:
             _clear(run)
         if state is None and other is None:
-            with torch_threads(self.torch_threads):  # compiled steps are for that many
+            with self.threads:  # compiled steps are for that many
                 self._acquaint(networks)
         self.learner = Learner(networks.to(config.device), share)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
@@ -100,7 +100,7 @@ class Trainer:
             The signal that ended it early, or None.
         """
         write_json(self.run / "config.json", self.config.to_dict())
-        with Interrupt() as interrupt, torch_threads(self.torch_threads):
+        with Interrupt() as interrupt, self.threads:
             try:
                 _ = self.member  # other processes take a while: not part of the first iteration's time
                 self.save()
@@ -132,7 +132,7 @@ class Trainer:
                     "members": self._carried,
                 }
             )
-            member = make_member(self.learner, self.env, team, self.run, self.iteration)
+            member = make_member(self.learner, self.env, team, self.run, self.threads, self.iteration)
             if self._carried:
                 member.load_state(self._carried[0])
         except BaseException:

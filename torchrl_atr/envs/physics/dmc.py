@@ -7,13 +7,18 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from dm_control.mujoco import Physics
-from dm_control.mujoco.wrapper import MjModel
 from numpy.typing import NDArray
 
+from torchrl_atr._errors import MissingPackageError
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
 from torchrl_atr.envs.profiles import Readings
+
+try:
+    from dm_control.mujoco import Physics
+    from dm_control.mujoco.wrapper import MjModel
+except ImportError as error:
+    raise MissingPackageError("dm_control", "suite") from error
 
 
 class RidingPhysics(Physics):

@@ -1,0 +1,75 @@
+"""Torch's threads follow the CPUs that neighbours leave free."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from torchrl_atr import _threads
+from torchrl_atr._threads import TorchThreads
+
+
+@pytest.fixture
+def threads(monkeypatch):
+    """Eight threads on eight CPUs, entered."""
+    monkeypatch.setattr(_threads, "available_cpus", lambda: 8)
+    with TorchThreads(8) as entered:
+        yield entered
+
+
+@pytest.mark.parametrize(
+    ("others", "count"), [(0.0, 8), (0.3, 8), (0.5, 4), (1.0, 4), (4.3, 4), (4.5, 2), (6.5, 1), (8.0, 1), (12.0, 1)]
+)
+def test_they_are_halved_until_they_fit(threads, others, count):
+    threads.adapt(others)
+    assert threads.count == torch.get_num_threads() == count
+
+
+def test_they_come_back_after_three_quiet_measurements_in_a_row(threads):
+    counts = []
+    for others in (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0):
+        threads.adapt(others)
+        counts.append(torch.get_num_threads())
+    assert counts == [4, 4, 4, 4, 4, 4, 8]
+
+
+def test_it_is_said_once(threads, capsys):
+    for others in (7.5, 0.0, 0.0, 0.0, 7.5):
+        threads.adapt(others)
+    said = capsys.readouterr().out.splitlines()
+    assert said == [
+        "other processes keep 7.5 of 8 CPUs busy: torch works with 1 instead of 8 threads until they are free "
+        "(torch_threads fixes the number)"
+    ]
+
+
+def test_the_number_before_is_restored():
+    before = torch.get_num_threads()
+    with TorchThreads(before + 1):
+        assert torch.get_num_threads() == before + 1
+    assert torch.get_num_threads() == before
+
+
+def test_update_measures_at_intervals(threads, monkeypatch):
+    monkeypatch.setattr(threads._load, "measure", lambda: 7.9)
+    threads.update()
+    assert threads.count == 8  # too early
+    threads._next = 0.0
+    threads.update()
+    assert threads.count == 1
+    threads._load.measure = lambda: 0.0
+    threads.update()
+    assert threads._calm == 0  # too early again
+
+
+@pytest.mark.parametrize("arguments", [{"limit": 8, "adaptive": False}, {"limit": 1}])
+def test_a_fixed_number_stays(arguments, monkeypatch):
+    with TorchThreads(**arguments) as threads:
+        threads._next = 0.0
+        threads.update()
+        assert torch.get_num_threads() == arguments["limit"]
+
+
+def test_the_default_is_torchs_own_within_the_available_cpus(monkeypatch):
+    monkeypatch.setattr(_threads, "available_cpus", lambda: 1)
+    assert TorchThreads().limit == 1
