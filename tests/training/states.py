@@ -10,6 +10,7 @@ SMALL = {
     "rollout_steps": 8,
     "total_frames": FRAMES,
     "num_threads": 1,
+    "torch_threads": 1,
     "minibatches": 2,
     "epochs": 2,
     "episode_seconds": 0.3,  # some episodes end in every batch
