@@ -34,10 +34,10 @@ EVALUATION = "evaluation.json"
 
 
 def evaluate(run: Path) -> dict[str, Any]:
-    """Return the figures of a run's deployed policy, those of a board that never moves, and where the run comes from."""
+    """Return the figures of a deployed policy, those of a board that never moves, and where the run comes from."""
     config, env, networks, state = load_run(run, num_envs=1)
     env.close()
-    result = evaluate_tracking(networks.deployed_policy(), partial(make_env, config, **DEPLOYED), seed=config.seed)
+    result = evaluate_tracking(networks.deployed_policy(), partial(make_env, config, **DEPLOYED), seed=config.seed + 1)
     metrics = tracking_metrics(result)
     still = {name: metrics["do_nothing"][name] for name in FIGURES}
     return {**{name: metrics[name] for name in FIGURES}, "still": still, "n": metrics["n"], "run": state["provenance"]}
