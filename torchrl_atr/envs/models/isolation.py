@@ -90,6 +90,10 @@ def _delete_dangling(spec: mujoco.MjSpec) -> None:
     for flex in list(spec.flexes):
         if not {*flex.nodebody, *flex.vertbody} <= bodies - {"world"}:
             spec.delete(flex)
+    used = {element.plugin.name for element in (*spec.bodies, *spec.geoms, *spec.meshes) if element.plugin.active}
+    for plugin in list(spec.plugins):
+        if plugin.name not in used:
+            spec.delete(plugin)
 
 
 def _reset_settings(spec: mujoco.MjSpec) -> None:
