@@ -77,7 +77,12 @@ def scene_fields(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     bodies = {i for i in range(model.nbody) if model.body(i).name in SCENE_BODIES}
     found = {
         **fields(model.opt, "opt."),
-        **{name: v for part in dir(model.vis) if part[0] != "_" for name, v in fields(getattr(model.vis, part), f"vis.{part}.").items()},
+        **{
+            name: v
+            for part in dir(model.vis)
+            if part[0] != "_"
+            for name, v in fields(getattr(model.vis, part), f"vis.{part}.").items()
+        },
         **rows_of(model, "body", lambda i: i in bodies),
         **rows_of(model, "geom", lambda i: model.geom_bodyid[i] in bodies),
         **rows_of(model, "jnt", lambda i: model.jnt_bodyid[i] in bodies),
@@ -86,9 +91,24 @@ def scene_fields(model: mujoco.MjModel) -> dict[str, np.ndarray]:
         **rows_of(model, "sensor", lambda i: True),
         **rows_of(model, "light", lambda i: True),
         **rows_of(model, "mat", lambda i: True),
-        "sizes": np.array([model.nkey, model.nu, model.nsensor, model.nuserdata, model.narena, model.nlight, model.ncam]),
+        "sizes": np.array(
+            [model.nkey, model.nu, model.nsensor, model.nuserdata, model.narena, model.nlight, model.ncam]
+        ),
     }
-    robots = ("id", "adr", "num", "invweight", "length0", "acc0", "subtreemass", "name", "armature", "M0", "poscom0", "dof_length")
+    robots = (
+        "id",
+        "adr",
+        "num",
+        "invweight",
+        "length0",
+        "acc0",
+        "subtreemass",
+        "name",
+        "armature",
+        "M0",
+        "poscom0",
+        "dof_length",
+    )
     return {name: value for name, value in found.items() if not any(word in name for word in robots)}
 
 

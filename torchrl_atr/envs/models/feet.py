@@ -20,7 +20,7 @@ def find_feet(model: mujoco.MjModel, robot: RobotSpec) -> tuple[tuple[int, ...],
     An entry of ``robot.feet`` that is a list names all of them. An entry that is one name stands for that geom and for
     the other colliding geoms of the same rigid link that are
 
-    - on its body, or on one welded to that, where the body is a foot alone (it has no joint, and is welded to the calf);
+    - on its body, or on one welded to that, where the body is a foot alone: without a joint, welded to the calf;
     - or wholly in the link's last quarter, measured from its joint to the centre of the named geom;
     - or nowhere nearer to that joint than the named geom is.
 
@@ -59,14 +59,15 @@ def _others(model: mujoco.MjModel, data: mujoco.MjData, named: int) -> list[int]
     way /= length
 
     def near_end(geom: int) -> float:
-        return float((data.geom_xpos[geom] - joint) @ way) - reach(model, geom, -way @ data.geom_xmat[geom].reshape(3, 3))
+        back = reach(model, geom, -way @ data.geom_xmat[geom].reshape(3, 3))
+        return float((data.geom_xpos[geom] - joint) @ way) - back
 
     limit = min(FOOT_SHARE * length, near_end(named)) - 1e-9
     foot_alone = _subtree(model, body) if body != link else set()
     candidates = (model.body_weldid[model.geom_bodyid] == link) & (model.geom_contype != 0)
     return [
-        int(geom)
-        for geom in np.flatnonzero(candidates)
+        geom
+        for geom in np.flatnonzero(candidates).tolist()
         if geom != named and (int(model.geom_bodyid[geom]) in foot_alone or near_end(geom) >= limit)
     ]
 

@@ -1,4 +1,4 @@
-"""What of a robot's MJCF file is the robot: the rest of its elements and settings, which would reach the scene, goes."""
+"""What of a robot's MJCF file is the robot; its other elements and settings, which would reach the scene, go."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def isolate(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
     for geom in spec.geoms:
         if geom.contype or geom.conaffinity:
             geom.contype, geom.conaffinity, geom.priority = 1, 0, 0
-    for joint in spec.joints:
-        joint.align = 0  # the trunk's frame is that of the file, not of its principal axes
+    for joint in spec.joints:  # the trunk's frame is that of the file, not of its principal axes
+        joint.align = mujoco.mjtAlignFree.mjALIGNFREE_AUTO
     _reset_settings(spec)
 
 

@@ -41,7 +41,7 @@ def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """
     if not robot.mjcf.is_file():
         raise robot.error(f"there is no MJCF file at {robot.mjcf}; check mjcf")
-    with _blame_file(robot):
+    with blame_file(robot):
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
     for folder in ("meshdir", "texturedir"):  # absolute: the scene may be saved anywhere
         setattr(spec, folder, str(robot.mjcf.parent.resolve() / Path(getattr(spec, folder))))
@@ -62,12 +62,12 @@ def compile_spec(spec: mujoco.MjSpec, robot: RobotSpec) -> mujoco.MjModel:
     Raises:
         RobotError: with MuJoCo's reason, if it cannot.
     """
-    with _blame_file(robot):
+    with blame_file(robot):
         return spec.compile()
 
 
 @contextlib.contextmanager
-def _blame_file(robot: RobotSpec) -> Iterator[None]:
+def blame_file(robot: RobotSpec) -> Iterator[None]:
     """Turn what MuJoCo says of a file into an error of ours; for MuJoCo's functions alone, which raise no other."""
     try:
         yield

@@ -76,17 +76,17 @@ def _differences(model: mujoco.MjModel, robot: RobotSpec, signs: Array) -> Itera
     for left, right in _PARTNERS:
         for i in range(JOINTS_PER_LEG):
             pair = [leg * JOINTS_PER_LEG + i for leg in (left, right)]
-            ids = [model.joint(robot.joints[joint]).id for joint in pair]
-            names = tuple(robot.joints[joint] for joint in pair)
-            yield from (Difference(*names, what) for what in _compare_joints(model, data, ids, float(signs[pair[0]])))
-            bodies = [int(model.jnt_bodyid[joint]) for joint in ids]
-            links = [_link(model, data, body) for body in bodies]
-            names = tuple(f"the link of {name}" for name in names)
-            yield from (Difference(*names, what) for what in _compare_links(*links))
+            names = [robot.joints[joint] for joint in pair]
+            ids = [model.joint(name).id for name in names]
+            for what in _compare_joints(model, data, ids, float(signs[pair[0]])):
+                yield Difference(names[0], names[1], what)
+            links = [_link(model, data, int(model.jnt_bodyid[joint])) for joint in ids]
+            for what in _compare_links(*links):
+                yield Difference(f"the link of {names[0]}", f"the link of {names[1]}", what)
     feet = find_feet(model, robot)
     for left, right in _PARTNERS:
-        names = tuple(f"foot {LEGS[leg]}" for leg in (left, right))
-        yield from (Difference(*names, what) for what in _compare_feet(model, data, feet[left], feet[right]))
+        for what in _compare_feet(model, data, feet[left], feet[right]):
+            yield Difference(f"foot {LEGS[left]}", f"foot {LEGS[right]}", what)
 
 
 def _link(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> _Link:
@@ -104,7 +104,7 @@ def _link(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> _Link:
 
 
 def _compare_trunk(robot: RobotSpec, trunk: _Link) -> Iterator[Difference]:
-    halves = f"the left half of {robot.trunk!r}", "its right half"
+    halves = (f"the left half of {robot.trunk!r}", "its right half")
     if abs(trunk.com[1]) > TRUNK_TOLERANCE:
         yield Difference(*halves, f"its centre of mass is {trunk.com[1]:.4g} m to the left")
     products = trunk.inertia[1, [0, 2]]
@@ -124,26 +124,27 @@ def _compare_joints(model: mujoco.MjModel, data: mujoco.MjData, ids: list[int], 
     dofs = model.jnt_dofadr[ids]
     for name, values in {
         "armature": model.dof_armature[dofs],
-        "damping": model.dof_damping[dofs],
+        "damping": np.column_stack([model.dof_damping[dofs], model.dof_dampingpoly[dofs]]),
         "frictionloss": model.dof_frictionloss[dofs],
-        "stiffness": model.jnt_stiffness[ids],
+        "stiffness": np.column_stack([model.jnt_stiffness[ids], model.jnt_stiffnesspoly[ids]]),
         "actuatorfrcrange": np.where(model.jnt_actfrclimited[ids], model.jnt_actfrcrange[ids][:, 1], np.inf),
     }.items():
-        if not np.isclose(*values, rtol=JOINT_TOLERANCE, atol=1e-9):
-            yield f"{name} {values[0]:.4g} and {values[1]:.4g}"
+        if not np.allclose(values[0], values[1], rtol=JOINT_TOLERANCE, atol=1e-9):
+            yield f"{name} {_list(values[0])} and {_list(values[1])}"
     rest = model.qpos_spring[model.jnt_qposadr[ids]]
     if model.jnt_stiffness[ids].any() and abs(rest[0] - sign * rest[1]) > ANGLE_TOLERANCE:
         yield f"springref {rest[0]:.4g} and {rest[1]:.4g} rad"
 
 
 def _compare_links(left: _Link, right: _Link) -> Iterator[str]:
-    if not np.isclose(right.mass, left.mass, rtol=MASS_TOLERANCE, atol=0):
+    if abs(right.mass - left.mass) > MASS_TOLERANCE * max(right.mass, left.mass):
         yield f"masses {left.mass:.4g} and {right.mass:.4g} kg"
     if not _near(right.com, left.com * _FLIP, LENGTH_TOLERANCE):
         yield f"centres of mass at {_list(left.com)} and {_list(right.com)} m in the trunk's frame"
     mirrored = left.inertia * np.outer(_FLIP, _FLIP)
     if not _near(right.inertia, mirrored, INERTIA_TOLERANCE * max(right.inertia.max(), left.inertia.max())):
-        yield f"moments of inertia {_list(np.diag(left.inertia))} and {_list(np.diag(right.inertia))} kg m²"
+        shown = (_list(link.inertia[np.triu_indices(3)]) for link in (left, right))
+        yield "inertias (xx, xy, xz, yy, yz, zz) {} and {} kg m²".format(*shown)
 
 
 def _compare_feet(
@@ -153,11 +154,9 @@ def _compare_feet(
         yield f"{len(left)} and {len(right)} colliding geoms"
         return
     boxes = [_extent(model, data, foot) for foot in (left, right)]
-    mirrored = np.sort(boxes[1] * _FLIP, axis=0)
-    if not _near(boxes[0], mirrored, LENGTH_TOLERANCE):
-        yield f"geoms that reach from {_list(boxes[0][0])} to {_list(boxes[0][1])} and from {_list(boxes[1][0])} to " + (
-            f"{_list(boxes[1][1])} m in the trunk's frame"
-        )
+    if not _near(boxes[0], np.sort(boxes[1] * _FLIP, axis=0), LENGTH_TOLERANCE):
+        shown = [" to ".join(_list(corner) for corner in box) for box in boxes]
+        yield f"geoms that fill {shown[0]} and {shown[1]} m in the trunk's frame"
 
 
 def _extent(model: mujoco.MjModel, data: mujoco.MjData, foot: tuple[int, ...]) -> Array:
@@ -175,4 +174,6 @@ def _near(one: Array, other: Array, tolerance: float) -> bool:
 
 
 def _list(values: Array) -> str:
-    return "[" + ", ".join(f"{value:.4g}" for value in values) + "]"
+    """A number, or several in brackets."""
+    shown = ", ".join(f"{value:.4g}" for value in np.atleast_1d(values))
+    return f"[{shown}]" if np.size(values) > 1 else shown

@@ -10,7 +10,7 @@ import numpy as np
 from torchrl_atr.envs.models.decks import DECK_HEIGHT, PLANAR_JOINTS, PLATFORM, add_transporter
 from torchrl_atr.envs.models.feet import find_feet
 from torchrl_atr.envs.models.isolation import check_names
-from torchrl_atr.envs.models.loading import compile_spec, load_robot
+from torchrl_atr.envs.models.loading import blame_file, compile_spec, load_robot
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.stance import standing_qpos
 from torchrl_atr.envs.models.transporter import TransporterSpec
@@ -103,9 +103,18 @@ def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Reading
     return spec
 
 
-def _add_fixtures(
-    spec: mujoco.MjSpec, transporter: TransporterSpec, readings: Readings, armature: float
-) -> None:
+def scene_xml(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> str:
+    """Return the scene as an MJCF file that MuJoCo reads as the same model, to the last bit; meshes by absolute path.
+
+    Raises:
+        RobotError: as :func:`build_scene`, or if MuJoCo cannot write the robot as MJCF.
+    """
+    spec = scene_spec(robot, transporter, readings)
+    with blame_file(robot):
+        return spec.to_xml()
+
+
+def _add_fixtures(spec: mujoco.MjSpec, transporter: TransporterSpec, readings: Readings, armature: float) -> None:
     _add_surroundings(spec)
     add_transporter(spec, transporter, readings, armature)
 

@@ -53,8 +53,8 @@ class RidingState:
         platform_angular_velocity, platform_angular_acceleration: world frame, (N, 3).
         speeds: the drive law's forward speed and yaw rate in P_planar, (N, 2).
         driven_acceleration: v̇ and α that the law gives at this tilt, m/s² and rad/s², (N, 2).
-        foot_position, foot_force: (N, 4, 3); forces act on the foot. Of a foot of several geoms, their centres' mean and
-            the sum of their forces.
+        foot_position, foot_force: (N, 4, 3); forces act on the foot. Of a foot of several geoms, the mean of their
+            centres and the sum of their forces.
         other_force: contact force on the rest of the robot, (N, 3).
         com: the robot's centre of mass, (N, 3).
         foot_load: magnitude of each foot's contact force, N, (N, 4).
