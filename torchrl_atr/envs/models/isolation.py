@@ -76,7 +76,10 @@ def _delete_dangling(spec: mujoco.MjSpec) -> None:
     for tendon in list(spec.tendons):
         if any(wrap.type != mujoco.mjtWrap.mjWRAP_PULLEY and wrap.target is None for wrap in tendon.path):
             spec.delete(tendon)
+    tendons = {tendon.name for tendon in spec.tendons}
     for equality in list(spec.equalities):
+        if equality.type == mujoco.mjtEq.mjEQ_TENDON and not {equality.name1, equality.name2} <= {"", *tendons}:
+            spec.delete(equality)
         if equality.type in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD):
             known = sites if equality.objtype == mujoco.mjtObj.mjOBJ_SITE else bodies - {"world"}
             if not {equality.name1, equality.name2} <= known:

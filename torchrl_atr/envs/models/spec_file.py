@@ -100,7 +100,7 @@ def check_list(spec: Spec, name: str, kind: type, size: int, remedy: str) -> Non
     object.__setattr__(spec, name, tuple(value))
 
 
-def check_positive(spec: Spec, name: str, value: object) -> None:
+def check_positive(spec: Spec, name: str, value: object, remedy: str = "must be a positive number") -> None:
     """Check a number of the field ``name``."""
     if not is_number(value) or value <= 0:  # type: ignore[operator]
-        raise spec.error(f"{name}={value!r} must be a positive number")
+        raise spec.error(f"{name}={value!r} {remedy}")

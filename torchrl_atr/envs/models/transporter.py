@@ -76,6 +76,7 @@ class Design:
         return tuple(hinge for board in self.boards for hinge in board.hinges)
 
 
+_POSITIVE = "must be positive (a number in SI units)"
 _X, _Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 SINGLE_BOARD = Design(
     boards=(Board("deck", 0.0, 1.0, (Hinge("platform_pitch", _Y, 1), Hinge("platform_roll", _X, 0))),),
@@ -135,9 +136,9 @@ class TransporterSpec:
             raise self.error(f"design={self.design!r} is none; choose one of {', '.join(DESIGNS)}")
         check_list(self, "size", float, 3, "give length, width and thickness in m")
         for side in self.size:
-            check_positive(self, "size", side)
+            check_positive(self, "size", side, _POSITIVE)
         for name in ("mass", "max_acceleration", "max_yaw_acceleration", "tilt_norm", "spring_scale"):
-            check_positive(self, name, getattr(self, name))
+            check_positive(self, name, getattr(self, name), _POSITIVE)
         check_list(self, "resistance", float, 3, "give the coefficients c0, c1 and c2")
         for name in ("sb_stiffness", "sb_damping"):
             check_list(self, name, float, 2, "give those of roll and pitch, or of the right and the left board")
