@@ -147,7 +147,9 @@ def test_degrees_and_explicit_limits_are_the_robots_own(tmp_path):
 
 SURROUNDINGS = """<geom name="ground" type="plane" size="0 0 1"/><site name="post"/><light pos="0 0 3"/>
   <camera name="outside" mode="targetbody" target="trunk"/>
-  <frame pos="9 9 9"><body name="box"><joint name="lid"/><site name="handle"/><geom name="side" size="1"/></body></frame>"""
+  <frame pos="9 9 9">
+    <body name="box"><joint name="lid"/><site name="handle"/><geom name="side" size="1"/></body>
+  </frame>"""
 ON_ROBOT = """<freejoint name="root"/><site name="chest"/><camera name="follower" mode="targetbody" target="box"/>
   <camera name="eye"/><light mode="targetbody" target="box"/>"""
 REFERENCES = """
