@@ -17,6 +17,7 @@ from torchrl.envs.utils import ExplorationType
 from benchmarks.timing import Contender, Key
 from torchrl_atr.envs import Readings, RidingEnv, get_robot, get_transporter, make_riding_env
 from torchrl_atr.envs.models import Scene, build_scene
+from torchrl_atr.envs.models.scene import STAND
 from torchrl_atr.envs.physics.engine import DECIMATION
 from torchrl_atr.training import TrainConfig, make_env, make_policy, make_run_networks
 from torchrl_atr.training.collection import Collection
@@ -28,11 +29,11 @@ STAND_STEPS = 100
 def standing_step(scene: Scene, num_envs: int, threads: int) -> Callable[[], mujoco.batch.Batch]:
     """A function that takes N standing robots (keyframe ``stand``, ctrl = q0) one control step on, nothing else."""
     batch = mujoco.batch.Batch(scene.model, num_envs, nthread=threads)
-    steps = itertools.count()
+    steps, stand = itertools.count(), scene.model.key(STAND).id
 
     def step() -> mujoco.batch.Batch:
         if next(steps) % STAND_STEPS == 0:
-            batch.reset(keyframe=0, stage=mujoco.mjtStage.mjSTAGE_NONE)
+            batch.reset(keyframe=stand, stage=mujoco.mjtStage.mjSTAGE_NONE)
         batch.step(nstep=DECIMATION)
         return batch
 

@@ -27,7 +27,8 @@ def robots() -> Iterator[str]:
         robot = ROBOTS.get(name)
         mass = mujoco.mj_getTotalmass(load_robot(robot)[1])
         figures = [f"{mass:.2f}", f"{robot.standing_height:.2f}", f"{robot.kp:g}", f"{robot.kd:g}"]
-        rows.append([name, robot.group, *figures, " ".join(robot.joints[:3]), " ".join(robot.feet)])
+        feet = " ".join("+".join(names) for names in robot.foot_names)
+        rows.append([name, robot.group, *figures, " ".join(robot.joints[:3]), feet])
     return _table(rows)
 
 

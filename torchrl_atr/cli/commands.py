@@ -193,13 +193,13 @@ def replay(arguments: argparse.Namespace) -> None:
 def write_model(arguments: argparse.Namespace) -> None:
     """``torchrl-atr model``."""
     from torchrl_atr.envs import Readings, get_robot, get_transporter
-    from torchrl_atr.envs.models import scene_spec
+    from torchrl_atr.envs.models import scene_xml
 
     import_modules(arguments.imports or ())
     robot = get_robot(arguments.robot)
-    spec = scene_spec(robot, get_transporter(arguments.transporter, robot), Readings())
+    xml = scene_xml(robot, get_transporter(arguments.transporter, robot), Readings())
     with atomic(arguments.output) as file:
-        file.write_text(spec.to_xml())
+        file.write_text(xml, encoding="utf-8")
     sys.stdout.write(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter\n")
 
 

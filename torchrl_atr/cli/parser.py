@@ -86,7 +86,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_bench(commands.add_parser("bench", help="measure speed against limits and peers (from a clone)"))
     model = commands.add_parser("model", help="write a robot on its transporter as one MJCF file")
     model.add_argument("robot", help="a name, or a .toml file that describes one of your own")
-    model.add_argument("transporter")
+    model.add_argument("transporter", help="a name, or a .toml file that describes one of your own")
     model.add_argument(
         "--output", type=_path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer"
     )
@@ -102,7 +102,7 @@ def build_parser() -> argparse.ArgumentParser:
 def _add_train(parser: argparse.ArgumentParser) -> None:
     # names match TrainConfig's fields, which convert and check; None means "as the config file or the default says"
     parser.add_argument("--robot", help="a name, or a .toml file that describes one of your own")
-    parser.add_argument("--transporter")
+    parser.add_argument("--transporter", help="a name, or a .toml file that describes one of your own")
     parser.add_argument("--profile", help="how the paper's open points are read")
     parser.add_argument("--estimator", help="a registered estimator")
     _add_import(parser)

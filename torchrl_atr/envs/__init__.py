@@ -13,6 +13,7 @@ from torchrl_atr.envs.models import (
     get_robot,
     get_transporter,
     read_robot,
+    read_transporter,
     register_robot,
 )
 from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings
@@ -35,5 +36,6 @@ __all__ = [
     "get_transporter",
     "make_riding_env",
     "read_robot",
+    "read_transporter",
     "register_robot",
 ]

@@ -20,7 +20,7 @@ from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, riding_t
 
 def make_riding_env(
     robot: str | Path | RobotSpec = "a1",
-    transporter: str | TransporterSpec = "single_board",
+    transporter: str | Path | TransporterSpec = "single_board",
     num_envs: int = 256,
     *,
     physics: PhysicsEngine = "batch",
@@ -46,7 +46,8 @@ def make_riding_env(
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
-        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, or a spec.
+        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, path of a
+            ``.toml`` file that describes one, or a spec.
         num_envs: N.
         physics: ``"batch"`` or ``"dm_control"``.
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.

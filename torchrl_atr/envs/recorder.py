@@ -16,6 +16,7 @@ from torch import Tensor
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr.envs.models.robot_file import is_robot_file
+from torchrl_atr.envs.models.transporter import describe_transporter
 from torchrl_atr.envs.task.core import RidingTask
 
 LENGTH = 25
@@ -93,7 +94,7 @@ def describe_scene(task: RidingTask, robot: Any) -> dict[str, Any]:
     """
     return {
         "robot": _portable(robot) if isinstance(robot, str | Path) else task.scene.robot.name,
-        "transporter": task.scene.transporter.name,
+        "transporter": describe_transporter(task.scene.transporter),
         "readings": dataclasses.asdict(task.readings),
         "model": fingerprint(task.scene.model),
     }

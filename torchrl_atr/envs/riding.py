@@ -39,7 +39,8 @@ class RidingEnv(EnvBase):
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
-        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, or a spec.
+        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, path of a
+            ``.toml`` file that describes one, or a spec.
         num_envs: N.
         physics: ``"batch"`` (N robots, all CPUs) or ``"dm_control"`` (one robot, the reference).
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
@@ -85,7 +86,7 @@ class RidingEnv(EnvBase):
     def __init__(
         self,
         robot: str | Path | RobotSpec = "a1",
-        transporter: str | TransporterSpec = "single_board",
+        transporter: str | Path | TransporterSpec = "single_board",
         num_envs: int = 256,
         physics: PhysicsEngine = "batch",
         randomization: intrinsics.Randomization = "train",

@@ -22,7 +22,7 @@ from dm_env import specs  # isort: skip
 
 def load(
     robot: str | Path | RobotSpec = "a1",
-    transporter: str | TransporterSpec = "single_board",
+    transporter: str | Path | TransporterSpec = "single_board",
     *,
     profile: str | Readings = "default",
     randomization: Randomization = "train",
@@ -34,7 +34,8 @@ def load(
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
-        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, or a spec.
+        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, path of a
+            ``.toml`` file that describes one, or a spec.
         profile: name of a profile, or readings of your own.
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
         time_limit: s, after which the episode ends with discount 1.

@@ -16,6 +16,7 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models import get_robot, get_transporter
 from torchrl_atr.envs.models.robot_file import is_robot_file
+from torchrl_atr.envs.models.spec_file import is_spec_file
 from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
@@ -38,7 +39,8 @@ class TrainConfig:
 
     Attributes:
         robot: name from the registry, or path of a ``.toml`` file that describes one (kept as an absolute path).
-        transporter: ``single_board`` or ``two_board`` in the robot's size, or another registered name.
+        transporter: ``single_board`` or ``two_board`` in the robot's size, another registered name, or path of a
+            ``.toml`` file that describes one (kept as an absolute path).
         profile: name from the registry.
         estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
         imports: modules imported first, so that they can register estimators, robots and transporters of their own.
@@ -184,6 +186,8 @@ class TrainConfig:
         get_transporter(self.transporter, get_robot(self.robot))
         if is_robot_file(self.robot):  # the run must find it from wherever it is evaluated
             object.__setattr__(self, "robot", str(Path(self.robot).resolve()))
+        if is_spec_file(self.transporter):
+            object.__setattr__(self, "transporter", str(Path(self.transporter).resolve()))
         PROFILES.get(self.profile)
         if self.act_source not in SOURCES:
             raise ConfigError(f"act_source={self.act_source!r} is unknown; choose one of {', '.join(SOURCES)}")

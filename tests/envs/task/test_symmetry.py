@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -117,3 +118,48 @@ def test_a_lopsided_robot_has_no_reflection():
         RobotError, match=r"'FR_thigh_joint' is not the mirror image of 'FL_thigh_joint'.*symmetric=false"
     ):
         _ = env.reflections
+
+
+LOPSIDED = {
+    "masses 3.013 and 1.013 kg": ('mass="1.013"', 'mass="3.013"'),
+    "centres of mass at": ('pos="-0.003237 -0.022327 -0.027326"', 'pos="-0.013237 -0.022327 -0.027326"'),
+    "inertias (xx, xy, xz, yy, yz, zz)": ('fullinertia="0.00552906', 'fullinertia="0.00605'),
+    "anchors at": ('<body name="FL_thigh" pos="0 0.08505 0">', '<body name="FL_thigh" pos="0.01 0.08505 0">'),
+    "ranges [-1, 3] rad and [-1.047, 4.189] rad": ('class="thigh"/>', 'class="thigh" range="-1 3"/>'),
+    "armature 0.02 and 0.01": ('class="thigh"/>', 'class="thigh" armature="0.02"/>'),
+    "damping [0.5, 0, 0] and [0, 0, 0]": ('class="thigh"/>', 'class="thigh" damping="0.5"/>'),
+    "frictionloss 0.3 and 0": ('class="thigh"/>', 'class="thigh" frictionloss="0.3"/>'),
+    "stiffness [2, 0, 0] and [0, 0, 0]": ('class="thigh"/>', 'class="thigh" stiffness="2"/>'),
+    "actuatorfrcrange 5 and inf": ('class="thigh"/>', 'class="thigh" actuatorfrcrange="-5 5"/>'),
+    "geoms that fill": ('class="foot" pos="0 0 -0.2"', 'class="foot" pos="0 0 -0.2" size="0.025"'),
+    "2 and 1 colliding geoms": ('<geom name="FL_foot"', '<geom class="foot" pos="0.01 0 -0.2"/><geom name="FL_foot"'),
+}
+
+
+@pytest.mark.parametrize("what", LOPSIDED)
+def test_legs_that_differ_in_anything_are_named(tmp_path, what):
+    a1 = ROBOTS.get("a1")
+    text = a1.mjcf.read_text()
+    left = text.index('<body name="FL_thigh"')
+    old, new = LOPSIDED[what]
+    (tmp_path / "mine.xml").write_text(text[:left] + text[left:].replace(old, new, 1))
+    env = RidingEnv(dataclasses.replace(a1, mjcf=tmp_path / "mine.xml"), num_envs=1, num_threads=1)
+    with pytest.raises(
+        RobotError, match=f"(FL_|foot FL).* is not the mirror image of .*{re.escape(what)}.*symmetric=f"
+    ):
+        _ = env.reflections
+
+
+def test_a_lopsided_trunk_is_named(tmp_path):
+    a1 = ROBOTS.get("a1")
+    text = a1.mjcf.read_text().replace('pos="0 0.0041 -0.0005"', 'pos="0 0.05 -0.0005"', 1)
+    (tmp_path / "mine.xml").write_text(text)
+    env = RidingEnv(dataclasses.replace(a1, mjcf=tmp_path / "mine.xml"), num_envs=1, num_threads=1)
+    with pytest.raises(RobotError, match=r"left half of 'trunk'.*centre of mass is 0\.05 m to the left"):
+        _ = env.reflections
+
+
+def test_boards_of_unequal_springs_are_named():
+    deck = dataclasses.replace(TRANSPORTERS.get("two_board_g1"), sb_stiffness=(1.0, 2.0))
+    with pytest.raises(TransporterError, match=r"sb_stiffness of 'platform_pitch_right'.*symmetric=false"):
+        _ = RidingEnv(transporter=deck, num_envs=1, num_threads=1).reflections

@@ -3,7 +3,7 @@
 from torchrl_atr.envs.models.loading import load_robot
 from torchrl_atr.envs.models.robot import LEGS, ROBOTS, RobotError, RobotSpec, register_robot
 from torchrl_atr.envs.models.robot_file import get_robot, read_robot
-from torchrl_atr.envs.models.scene import Layout, Scene, build_scene, scene_spec
+from torchrl_atr.envs.models.scene import Layout, Scene, build_scene, scene_spec, scene_xml
 from torchrl_atr.envs.models.transporter import (
     DESIGNS,
     SINGLE_BOARD,
@@ -12,6 +12,7 @@ from torchrl_atr.envs.models.transporter import (
     TransporterError,
     TransporterSpec,
     get_transporter,
+    read_transporter,
 )
 
 __all__ = [
@@ -32,6 +33,8 @@ __all__ = [
     "get_transporter",
     "load_robot",
     "read_robot",
+    "read_transporter",
     "register_robot",
     "scene_spec",
+    "scene_xml",
 ]

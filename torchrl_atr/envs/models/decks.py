@@ -35,6 +35,7 @@ def add_transporter(spec: mujoco.MjSpec, transporter: TransporterSpec, readings:
         _add_board(hub, boards[0], transporter, readings)
         return
     hub.mass, hub.inertia, hub.explicitinertial = _HUB_MASS, [_HUB_MASS] * 3, True
+    hub.ipos = hub.pos  # what MuJoCo takes where nothing is said; it saves an inertia with a position alone
     for board in boards:
         body = hub.add_body(name=board.name, pos=[0, board.offset * transporter.size[1], 0])
         _add_board(body, board, transporter, readings)

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import mujoco
 
 from torchrl_atr._registry import nearest
+from torchrl_atr.envs.models.feet import find_feet
+from torchrl_atr.envs.models.isolation import isolate, write_inertias
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
-
-_IDENTITY = ("classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata")
-"""What an element of an ``MjSpec`` is rather than what it is set to; some cannot even be read on a default."""
 
 
 def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
@@ -40,55 +41,42 @@ def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """
     if not robot.mjcf.is_file():
         raise robot.error(f"there is no MJCF file at {robot.mjcf}; check mjcf")
-    try:
+    with blame_file(robot):
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
-        for folder in ("meshdir", "texturedir"):  # absolute: the scene may be saved anywhere
-            setattr(spec, folder, str(robot.mjcf.parent.resolve() / Path(getattr(spec, folder))))
-        _strip(spec, robot)
-        model = spec.compile()
-    except ValueError as error:  # mujoco's own: it names the element, and the asset that is missing
-        raise robot.error(
-            f"MuJoCo cannot compile {robot.mjcf}: {' '.join(str(error).split())}. Does it open in "
-            "`python -m mujoco.viewer`? Mesh and texture files are looked up in its folder or its meshdir"
-        ) from error
+    for folder in ("meshdir", "texturedir"):  # absolute: the scene may be saved anywhere
+        setattr(spec, folder, str(robot.mjcf.parent.resolve() / Path(getattr(spec, folder))))
+    isolate(spec, robot)
+    model = compile_spec(spec, robot)
     _check_joints(model, robot)
     _check_feet(model, robot)
     _check_legs(model, robot)
+    write_inertias(spec, model)
+    _name_feet(spec, model, robot)
     _add_actuators(spec, model, robot)
     return spec, model
 
 
-def _strip(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
-    """Removes all but the robot, and what would make it collide with anything but the deck."""
-    bodies = [body.name for body in spec.worldbody.bodies]
-    if robot.trunk not in bodies:
-        raise robot.error(f"{robot.mjcf} has no root body {robot.trunk!r} (trunk); {nearest(robot.trunk, bodies)}")
-    world = spec.worldbody
-    others = [body for body in world.bodies if body.name != robot.trunk]
-    surroundings = [*world.geoms, *world.cameras, *world.sites, *spec.lights]
-    for element in [*spec.sensors, *spec.actuators, *spec.keys, *spec.pairs, *surroundings, *others]:
-        spec.delete(element)
-    for texture in spec.textures:
-        if texture.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX:
-            spec.delete(texture)
-    if spec.compiler.settotalmass > 0:
+def compile_spec(spec: mujoco.MjSpec, robot: RobotSpec) -> mujoco.MjModel:
+    """Compile a spec that holds the robot.
+
+    Raises:
+        RobotError: with MuJoCo's reason, if it cannot.
+    """
+    with blame_file(robot):
+        return spec.compile()
+
+
+@contextlib.contextmanager
+def blame_file(robot: RobotSpec) -> Iterator[None]:
+    """Turn what MuJoCo says of a file into an error of ours; for MuJoCo's functions alone, which raise no other."""
+    try:
+        yield
+    except (ValueError, mujoco.FatalError, mujoco.UnexpectedError) as error:
+        # it names the element, and the asset that is missing
         raise robot.error(
-            f"settotalmass in {robot.mjcf} would rescale its transporter too; give the links their masses"
-        )
-    fresh = mujoco.MjSpec()
-    _reset(spec.option, fresh.option)
-    for kind in ("joint", "geom", "site", "camera", "light", "material", "actuator"):
-        # what the file's elements had from its global defaults they keep; what the scene adds starts from MuJoCo's own
-        _reset(getattr(spec.default, kind), getattr(fresh.default, kind))
-    for geom in spec.geoms:
-        if geom.contype or geom.conaffinity:
-            geom.contype, geom.conaffinity, geom.priority = 1, 0, 0
-
-
-def _reset(settings: Any, fresh: Any) -> None:
-    for name in dir(settings):
-        if not name.startswith("_") and name not in _IDENTITY and not callable(getattr(settings, name)):
-            setattr(settings, name, getattr(fresh, name))
+            f"MuJoCo cannot compile {robot.mjcf}: {' '.join(str(error).split())}. Does it open in "
+            "`python -m mujoco.viewer`? Mesh and texture files are looked up in its folder or its meshdir"
+        ) from error
 
 
 def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> list[str]:
@@ -129,7 +117,7 @@ def _check_feet(model: mujoco.MjModel, robot: RobotSpec) -> None:
     candidates = [
         name for i, name in enumerate(names) if name and model.geom_bodyid[i] in tips and model.geom_contype[i]
     ]
-    for foot in robot.feet:
+    for foot in itertools.chain(*robot.foot_names):
         if foot not in names:
             listed = ", ".join(candidates) or "none: give the foot geoms a name in the MJCF file"
             raise robot.error(
@@ -139,11 +127,16 @@ def _check_feet(model: mujoco.MjModel, robot: RobotSpec) -> None:
             raise robot.error(
                 f"foot geom {foot!r} collides with nothing (contype and conaffinity are 0); choose the collision geom"
             )
+    for first, *others in robot.foot_names:
+        link = model.body_weldid[model.geom(first).bodyid[0]]
+        for other in others:
+            if model.body_weldid[model.geom(other).bodyid[0]] != link:
+                raise robot.error(f"foot geoms {first!r} and {other!r} are on different links; list those of one foot")
 
 
 def _check_legs(model: mujoco.MjModel, robot: RobotSpec) -> None:
     """Each foot must hang on its leg's three joints, in their order from the trunk."""
-    for i, (leg, foot) in enumerate(zip(LEGS, robot.feet)):
+    for i, (leg, (foot, *_)) in enumerate(zip(LEGS, robot.foot_names)):
         chain: list[str] = []
         body = int(model.geom(foot).bodyid[0])
         while body > 0:
@@ -157,6 +150,15 @@ def _check_legs(model: mujoco.MjModel, robot: RobotSpec) -> None:
                 f"leg {leg}: foot {foot!r} hangs on {', '.join(chain) or 'no joint'}, but joints lists "
                 f"{', '.join(listed)}; list joints, feet and q0 leg by leg, {', '.join(LEGS)}, from trunk to foot"
             )
+
+
+def _name_feet(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: RobotSpec) -> None:
+    """Give every geom of a foot a name, by which the scene's sensors find it."""
+    taken = {geom.name for geom in spec.geoms}
+    for foot, (named, *_) in zip(find_feet(model, robot), robot.foot_names):
+        for geom in (geom for geom in spec.geoms if geom.id in foot and not geom.name):
+            geom.name = next(name for i in itertools.count(2) if (name := f"{named}_{i}") not in taken)
+            taken.add(geom.name)
 
 
 def _add_actuators(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: RobotSpec) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import Registry
+from torchrl_atr.envs.models.spec_file import check_list, check_positive, check_text
 
 _MODELS = Path(__file__).parent / "robots"
 
@@ -37,7 +38,8 @@ class RobotSpec:
         mjcf: path of the MJCF file. Its actuators, sensors and keyframes are replaced by the scene's own.
         trunk: name of the root body, which carries a free joint.
         joints: names of the twelve leg hinges; each is driven by one position actuator.
-        feet: names of the four foot geoms.
+        feet: for each leg the name of a geom of its foot, which stands for the colliding geoms beside it too (see
+            :func:`~torchrl_atr.envs.models.feet.find_feet`), or a list that names all geoms of the foot.
         q0: nominal standing joint angles, rad, in the order of ``joints``.
         kp: nominal PD stiffness of every joint, N m/rad (Table II randomises it as a ratio).
         kd: nominal PD damping, N m s/rad; the joints' own damping and friction in the MJCF come on top.
@@ -55,7 +57,7 @@ class RobotSpec:
     mjcf: Path
     trunk: str
     joints: tuple[str, ...]
-    feet: tuple[str, ...]
+    feet: tuple[str | tuple[str, ...], ...]
     q0: tuple[float, ...]
     kp: float
     kd: float
@@ -66,22 +68,22 @@ class RobotSpec:
     group: str
 
     def __post_init__(self) -> None:
-        _check_text(self, "name", "trunk", "group")
+        check_text(self, "name", "trunk", "group")
         if not isinstance(self.mjcf, str | Path):
             raise self.error(f"mjcf={self.mjcf!r} is not a path; give that of the MJCF file")
         object.__setattr__(self, "mjcf", Path(self.mjcf))
         joints = len(LEGS) * JOINTS_PER_LEG
-        _check_list(self, "joints", str, joints, f"name {JOINTS_PER_LEG} hinges for each of {', '.join(LEGS)}")
-        _check_list(self, "feet", str, len(LEGS), f"name one geom for each of {', '.join(LEGS)}")
-        _check_list(self, "q0", float, joints, "give one angle in rad for each joint")
-        _check_list(self, "torque_limits", float, JOINTS_PER_LEG, "give those of abduction, thigh and calf in N m")
+        check_list(self, "joints", str, joints, f"name {JOINTS_PER_LEG} hinges for each of {', '.join(LEGS)}")
+        _check_feet(self)
+        check_list(self, "q0", float, joints, "give one angle in rad for each joint")
+        check_list(self, "torque_limits", float, JOINTS_PER_LEG, "give those of abduction, thigh and calf in N m")
         for angle, joint in zip(self.q0, self.joints):
             if abs(angle) > 2 * math.pi:
                 raise self.error(f"q0 of joint {joint!r} is {angle:g}: degrees? give radians")
         for limit in self.torque_limits:
-            _check_positive(self, "torque_limits", limit)
+            check_positive(self, "torque_limits", limit)
         for name in ("kp", "kd", "action_scale", "standing_height", "min_height"):
-            _check_positive(self, name, getattr(self, name))
+            check_positive(self, name, getattr(self, name))
         if self.min_height >= self.standing_height:
             raise self.error(
                 f"min_height={self.min_height:g} must be below standing_height={self.standing_height:g}: "
@@ -90,41 +92,33 @@ class RobotSpec:
         if self.group not in GROUPS:
             raise self.error(f"group={self.group!r} is unknown; choose one of {', '.join(GROUPS)}")
 
+    @property
+    def foot_names(self) -> tuple[tuple[str, ...], ...]:
+        """Names of the geoms that ``feet`` gives for each leg."""
+        return tuple((foot,) if isinstance(foot, str) else foot for foot in self.feet)
+
     def error(self, message: str) -> RobotError:
         """A :class:`RobotError` that says whose it is."""
         return RobotError(f"robot {self.name!r}: {message}")
 
 
-def _check_text(robot: RobotSpec, *names: str) -> None:
-    for name in names:
-        value = getattr(robot, name)
-        if not isinstance(value, str) or not value:
-            raise robot.error(f"{name}={value!r} is not a name; give a text")
-
-
-def _check_list(robot: RobotSpec, name: str, kind: type, size: int, remedy: str) -> None:
-    """Makes a tuple of a list, after checking its entries."""
-    value = getattr(robot, name)
-    if not isinstance(value, Sequence) or isinstance(value, str):
-        raise robot.error(f"{name}={value!r} is not a list; {remedy}")
-    for entry in value:
-        if not (isinstance(entry, str) if kind is str else _is_number(entry)):
-            raise robot.error(f"{name} holds {entry!r}; {remedy}")
-    if len(value) != size:
-        raise robot.error(f"{name} has {len(value)} entries instead of {size}; {remedy}")
-    if kind is str and len(set(value)) < size:
-        twice = next(entry for entry in value if value.count(entry) > 1)
-        raise robot.error(f"{name} lists {twice!r} twice; {remedy}")
-    object.__setattr__(robot, name, tuple(value))
-
-
-def _check_positive(robot: RobotSpec, name: str, value: float) -> None:
-    if not _is_number(value) or value <= 0:
-        raise robot.error(f"{name}={value!r} must be a positive number")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+def _check_feet(robot: RobotSpec) -> None:
+    """Makes a tuple of names, or of tuples of names, after checking them."""
+    remedy = f"name one geom, or a list of all geoms of the foot, for each of {', '.join(LEGS)}"
+    if not isinstance(robot.feet, Sequence) or isinstance(robot.feet, str):
+        raise robot.error(f"feet={robot.feet!r} is not a list; {remedy}")
+    feet = tuple(tuple(foot) if isinstance(foot, list) else foot for foot in robot.feet)
+    for foot in feet:
+        names = foot if isinstance(foot, tuple) else (foot,)
+        if not names or not all(isinstance(name, str) and name for name in names):
+            raise robot.error(f"feet holds {foot!r}; {remedy}")
+    if len(feet) != len(LEGS):
+        raise robot.error(f"feet has {len(feet)} entries instead of {len(LEGS)}; {remedy}")
+    object.__setattr__(robot, "feet", feet)
+    listed = [name for foot in robot.foot_names for name in foot]
+    twice = [name for name in listed if listed.count(name) > 1]
+    if twice:
+        raise robot.error(f"feet lists {twice[0]!r} twice; {remedy}")
 
 
 ROBOTS: Registry[RobotSpec] = Registry("robot", hint="or a .toml file that describes one")

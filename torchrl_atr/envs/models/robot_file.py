@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-import tomllib
 from pathlib import Path
+from typing import Any
 
-from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models.robot import ROBOTS, RobotError, RobotSpec
-
-SUFFIX = ".toml"
+from torchrl_atr.envs.models.spec_file import is_spec_file, read_spec
 
 
 def get_robot(robot: str | Path | RobotSpec) -> RobotSpec:
@@ -33,7 +30,7 @@ def get_robot(robot: str | Path | RobotSpec) -> RobotSpec:
 
 def is_robot_file(robot: str | Path) -> bool:
     """Whether a robot is given by a file rather than by name."""
-    return str(robot).endswith(SUFFIX)
+    return is_spec_file(robot)
 
 
 def read_robot(path: str | Path) -> RobotSpec:
@@ -54,23 +51,9 @@ def read_robot(path: str | Path) -> RobotSpec:
         ...
         torchrl_atr.envs.models.robot.RobotError: there is no robot file nowhere.toml; check its path
     """
-    path = Path(path)
-    if not path.is_file():
-        raise RobotError(f"there is no robot file {path}; check its path")
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise RobotError(f"{path} is not valid TOML: {error}") from error
-    known = [field.name for field in dataclasses.fields(RobotSpec)]
-    for key in values:
-        if key not in known:
-            raise RobotError(f"{path}: unknown key {key!r}; {nearest(key, known)}")
-    missing = [key for key in known if key not in values]
-    if missing:
-        raise RobotError(f"{path}: there is no {', '.join(missing)}; a robot needs {', '.join(known)}")
+    return read_spec(path, RobotSpec, "robot", RobotError, _convert)
+
+
+def _convert(values: dict[str, Any], folder: Path) -> None:
     if isinstance(values["mjcf"], str):
-        values["mjcf"] = path.resolve().parent / values["mjcf"]
-    try:
-        return RobotSpec(**values)
-    except RobotError as error:
-        raise RobotError(f"{path}: {error}") from error
+        values["mjcf"] = folder / values["mjcf"]

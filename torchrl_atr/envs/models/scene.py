@@ -8,12 +8,16 @@ import mujoco
 import numpy as np
 
 from torchrl_atr.envs.models.decks import DECK_HEIGHT, PLANAR_JOINTS, PLATFORM, add_transporter
-from torchrl_atr.envs.models.loading import load_robot
+from torchrl_atr.envs.models.feet import find_feet
+from torchrl_atr.envs.models.isolation import check_names
+from torchrl_atr.envs.models.loading import blame_file, compile_spec, load_robot
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.stance import standing_qpos
 from torchrl_atr.envs.models.transporter import TransporterSpec
 from torchrl_atr.envs.profiles import Readings
 
+STAND = "stand"
+"""Keyframe of the robot standing in q0 with ctrl = q0; the scene has no other."""
 TIMESTEP = 0.005
 """Simulation step, s (200 Hz)."""
 _ARMATURE_RATIO = 200.0
@@ -42,6 +46,8 @@ class Layout:
     platform_body: int
     deck_bodies: np.ndarray
     deck_geoms: np.ndarray
+    foot_sizes: tuple[int, ...]
+    """How many geoms each foot has: the sensors ``foot_force`` and ``foot_position`` read them one by one."""
 
 
 @dataclass(frozen=True)
@@ -71,25 +77,46 @@ def build_scene(robot: RobotSpec, transporter: TransporterSpec, readings: Readin
         >>> scene.model.nu
         12
     """
-    model = scene_spec(robot, transporter, readings or Readings()).compile()
+    model = compile_spec(scene_spec(robot, transporter, readings or Readings()), robot)
     return Scene(robot, transporter, model, _layout(model, robot, transporter))
 
 
 def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> mujoco.MjSpec:
-    """The editable scene with its keyframe ``stand``; ``to_xml()`` of it opens in ``python -m mujoco.viewer``."""
+    """The editable scene with its keyframe ``stand``; MuJoCo reads what ``to_xml()`` gives as the same model."""
     spec, alone = load_robot(robot)
+    names = {geom.id: geom.name for geom in spec.geoms}
+    feet = [names[geom] for foot in find_feet(alone, robot) for geom in foot]
+    armature = _ARMATURE_RATIO * float(mujoco.mj_getTotalmass(alone))
+    fixtures = mujoco.MjSpec()
+    _add_fixtures(fixtures, transporter, readings, armature)
+    check_names(spec, fixtures, robot)
     spec.modelname = f"{robot.name}-{transporter.name}"
+    spec.compiler.savecompiled = spec.compiler.savecanonical = False  # every digit, and as it was written
     _set_options(spec)
-    _add_surroundings(spec)
-    robot_mass = float(mujoco.mj_getTotalmass(alone))
-    add_transporter(spec, transporter, readings, _ARMATURE_RATIO * robot_mass)
-    _add_sensors(spec, robot)
-    model = spec.compile()
+    _add_fixtures(spec, transporter, readings, armature)
+    _add_sensors(spec, feet, robot)
+    model = compile_spec(spec, robot)
     layout = _layout(model, robot, transporter)
     qpos = standing_qpos(model, robot, transporter, DECK_HEIGHT + transporter.size[2] / 2)
-    key = spec.add_key(name="stand", qpos=qpos, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
+    key = spec.add_key(name=STAND, qpos=qpos, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
     key.qvel = np.zeros(model.nv)
     return spec
+
+
+def scene_xml(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> str:
+    """Return the scene as an MJCF file that MuJoCo reads as the same model, to the last bit; meshes by absolute path.
+
+    Raises:
+        RobotError: as :func:`build_scene`, or if MuJoCo cannot write the robot as MJCF.
+    """
+    spec = scene_spec(robot, transporter, readings)
+    with blame_file(robot):
+        return spec.to_xml()
+
+
+def _add_fixtures(spec: mujoco.MjSpec, transporter: TransporterSpec, readings: Readings, armature: float) -> None:
+    _add_surroundings(spec)
+    add_transporter(spec, transporter, readings, armature)
 
 
 def _set_options(spec: mujoco.MjSpec) -> None:
@@ -140,7 +167,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     world.add_light(pos=[0, 0, 4], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
 
 
-def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
+def _add_sensors(spec: mujoco.MjSpec, feet: list[str], robot: RobotSpec) -> None:
     """Foot forces and positions, the contact force on the boards, the robot's centre of mass: one array."""
     force, netforce, one = (
         1 << 1,
@@ -159,10 +186,10 @@ def _add_sensors(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
             intprm=[force, netforce, one],
         )
 
-    for foot in robot.feet:
+    for foot in feet:
         add_force(f"force_{foot}", mujoco.mjtObj.mjOBJ_GEOM, foot)
     add_force("force_robot", mujoco.mjtObj.mjOBJ_XBODY, robot.trunk)
-    for foot in robot.feet:
+    for foot in feet:
         spec.add_sensor(
             name=f"position_{foot}",
             type=mujoco.mjtSensor.mjSENS_FRAMEPOS,
@@ -207,7 +234,8 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec, transporter: TransporterSpe
         end = model.sensor(last)
         return slice(int(model.sensor(first).adr[0]), int(end.adr[0] + end.dim[0]))
 
-    feet = robot.feet
+    feet = find_feet(model, robot)
+    first, last = model.geom(feet[0][0]).name, model.geom(feet[-1][-1]).name
     return Layout(
         root_qpos=int(model.jnt_qposadr[root]),
         root_dof=int(model.jnt_dofadr[root]),
@@ -221,13 +249,14 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec, transporter: TransporterSpe
         tilt_joints=tilt,
         tilt_gains=np.array([hinge.gain for hinge in hinges]),
         sensors={
-            "foot_force": sensor(f"force_{feet[0]}", f"force_{feet[-1]}"),
+            "foot_force": sensor(f"force_{first}", f"force_{last}"),
             "robot_force": sensor("force_robot", "force_robot"),
-            "foot_position": sensor(f"position_{feet[0]}", f"position_{feet[-1]}"),
+            "foot_position": sensor(f"position_{first}", f"position_{last}"),
             "com": sensor("com", "com"),
         },
         trunk_body=model.body(robot.trunk).id,
         platform_body=model.body(PLATFORM).id,
         deck_bodies=model.geom_bodyid[decks],
         deck_geoms=decks,
+        foot_sizes=tuple(len(foot) for foot in feet),
     )

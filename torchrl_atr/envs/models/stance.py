@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_atr.envs.models.feet import find_feet, reach
 from torchrl_atr.envs.models.robot import LEGS, RobotSpec
 from torchrl_atr.envs.models.transporter import TransporterSpec
 
@@ -41,61 +42,49 @@ def standing_qpos(
     data.qpos[[int(model.joint(name).qposadr[0]) for name in robot.joints]] = robot.q0
     data.qpos[root : root + 7] = [0, 0, 0, 1, 0, 0, 0]
     mujoco.mj_kinematics(model, data)
-    feet = np.stack([data.geom(foot).xpos for foot in robot.feet])
+    geoms = find_feet(model, robot)
+    feet = _centres(data, geoms)
     _check_upright(feet, robot)
     slope, _ = np.polyfit(feet[:, 0], feet[:, 2], 1)
     pitch = math.atan(slope)  # turning by +pitch about y lowers the front by as much
     data.qpos[root + 3 : root + 7] = [math.cos(pitch / 2), 0, math.sin(pitch / 2), 0]
     mujoco.mj_kinematics(model, data)
     mujoco.mj_comPos(model, data)
-    soles = np.array([lowest_point(model, data, foot) for foot in robot.feet])
+    soles = np.array([min(lowest_point(model, data, geom) for geom in foot) for foot in geoms])
     _check_level(soles, pitch, robot)
     _check_height(-soles.min(), robot)
     com = data.subtree_com[model.body(robot.trunk).id]
-    _check_on_deck(np.stack([data.geom(foot).xpos[:2] for foot in robot.feet]) - com[:2], robot, transporter)
+    _check_on_deck(_centres(data, geoms)[:, :2] - com[:2], robot, transporter)
     data.qpos[root : root + 3] = [-com[0], -com[1], deck_top - soles.min()]
     return data.qpos.copy()
 
 
-def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> float:
-    """Height of a geom's lowest point where it is now, m; exact for every convex type.
+def _centres(data: mujoco.MjData, feet: tuple[tuple[int, ...], ...]) -> NDArray[np.float64]:
+    """Where each foot is, the mean of its geoms' centres, m, (4, 3)."""
+    return np.stack([data.geom_xpos[list(foot)].mean(0) for foot in feet])
+
+
+def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
+    """Return the height of a geom's lowest point where it is now, m; exact for every convex type.
 
     Args:
         model: the scene.
         data: with current kinematics.
-        name: of the geom.
+        geom: id.
     """
-    geom = model.geom(name)
-    down, size = data.geom(name).xmat[6:9], geom.size  # the vertical in the geom's frame
-    kinds = mujoco.mjtGeom
-    match kinds(geom.type[0]):
-        case kinds.mjGEOM_CAPSULE:
-            reach = size[0] + size[1] * abs(down[2])
-        case kinds.mjGEOM_CYLINDER:
-            reach = size[0] * math.hypot(down[0], down[1]) + size[1] * abs(down[2])
-        case kinds.mjGEOM_BOX:
-            reach = float(np.abs(down) @ size)
-        case kinds.mjGEOM_ELLIPSOID:
-            reach = float(np.linalg.norm(down * size))
-        case kinds.mjGEOM_MESH:
-            mesh = model.mesh(int(geom.dataid[0]))
-            vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
-            reach = -float((vertices @ down).min())
-        case _:
-            reach = size[0]
-    return float(data.geom(name).xpos[2] - reach)
+    return float(data.geom_xpos[geom, 2] - reach(model, geom, -data.geom_xmat[geom, 6:9]))
 
 
 def _check_upright(feet: NDArray[np.float64], robot: RobotSpec) -> None:
     """With the trunk's frame at the origin, upright: feet below it, and each where its name says."""
-    for foot, height in zip(robot.feet, feet[:, 2]):
+    for (foot, *_), height in zip(robot.foot_names, feet[:, 2]):
         if height >= 0:
             raise robot.error(
                 f"in q0 foot {foot!r} is {height:.2f} m above the origin of {robot.trunk!r}: upside down? Check the "
                 "signs of q0; the trunk's z axis points up"
             )
     sides = list(_SIDES)
-    for leg, foot, position in zip(LEGS, robot.feet, np.sign(feet[:, :2] - feet[:, :2].mean(axis=0))):
+    for leg, (foot, *_), position in zip(LEGS, robot.foot_names, np.sign(feet[:, :2] - feet[:, :2].mean(axis=0))):
         here = (int(position[0]), int(position[1]))
         if here != sides[LEGS.index(leg)]:
             raise robot.error(
@@ -112,7 +101,7 @@ def _check_level(soles: NDArray[np.float64], pitch: float, robot: RobotSpec) -> 
         )
     uneven = soles - soles.min()
     if uneven.max() > _MAX_UNEVENNESS:
-        foot = robot.feet[int(uneven.argmax())]
+        foot = robot.foot_names[int(uneven.argmax())][0]
         raise robot.error(
             f"in q0 the feet are not level: {foot!r} hangs {uneven.max():.3f} m above the lowest; check its signs: "
             "left and right legs may mirror each other"
@@ -134,7 +123,7 @@ def _check_height(height: float, robot: RobotSpec) -> None:
 
 def _check_on_deck(feet: NDArray[np.float64], robot: RobotSpec, transporter: TransporterSpec) -> None:
     length, width, _ = transporter.size
-    for foot, (x, y) in zip(robot.feet, feet):
+    for (foot, *_), (x, y) in zip(robot.foot_names, feet):
         if abs(x) > length / 2 or abs(y) > width / 2:
             raise robot.error(
                 f"in q0 foot {foot!r} is off the deck of {transporter.name!r} ({length:g} x {width:g} m), {x:.2f} m "

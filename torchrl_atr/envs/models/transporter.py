@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +14,7 @@ from numpy.typing import NDArray
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import Registry, unknown
 from torchrl_atr.envs.models.robot import GROUPS, RobotSpec
+from torchrl_atr.envs.models.spec_file import check_list, check_positive, check_text, is_spec_file, read_spec
 from torchrl_atr.envs.profiles import Readings
 
 Matrix = tuple[tuple[float, float], tuple[float, float]]
@@ -71,6 +76,7 @@ class Design:
         return tuple(hinge for board in self.boards for hinge in board.hinges)
 
 
+_POSITIVE = "must be positive (a number in SI units)"
 _X, _Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 SINGLE_BOARD = Design(
     boards=(Board("deck", 0.0, 1.0, (Hinge("platform_pitch", _Y, 1), Hinge("platform_roll", _X, 0))),),
@@ -108,7 +114,8 @@ class TransporterSpec:
         spring_scale: what both are multiplied by under the reading ``scaled_springs`` (A12).
 
     Raises:
-        TransporterError: for a size, mass or limit that is not positive.
+        TransporterError: for a size, mass or limit that is not a positive number, a negative resistance, stiffness or
+            damping, a wrong number of values, or a design that is none.
     """
 
     name: str
@@ -124,11 +131,25 @@ class TransporterSpec:
     spring_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        figures = {"size": min(self.size), "mass": self.mass, "tilt_norm": self.tilt_norm}
-        figures |= {"max_acceleration": self.max_acceleration, "max_yaw_acceleration": self.max_yaw_acceleration}
-        for name, value in {**figures, "spring_scale": self.spring_scale}.items():
-            if not value > 0:
-                raise TransporterError(f"transporter {self.name!r}: {name}={value!r} must be positive (SI units)")
+        check_text(self, "name")
+        if not isinstance(self.design, Design):
+            raise self.error(f"design={self.design!r} is none; choose one of {', '.join(DESIGNS)}")
+        check_list(self, "size", float, 3, "give length, width and thickness in m")
+        for side in self.size:
+            check_positive(self, "size", side, _POSITIVE)
+        for name in ("mass", "max_acceleration", "max_yaw_acceleration", "tilt_norm", "spring_scale"):
+            check_positive(self, name, getattr(self, name), _POSITIVE)
+        check_list(self, "resistance", float, 3, "give the coefficients c0, c1 and c2")
+        for name in ("sb_stiffness", "sb_damping"):
+            check_list(self, name, float, 2, "give those of roll and pitch, or of the right and the left board")
+        for name in ("resistance", "sb_stiffness", "sb_damping"):
+            for value in getattr(self, name):
+                if value < 0:
+                    raise self.error(f"{name} holds {value!r}; it would drive the transporter: give 0 or more")
+
+    def error(self, message: str) -> TransporterError:
+        """A :class:`TransporterError` that says whose it is."""
+        return TransporterError(f"transporter {self.name!r}: {message}")
 
     def board_size(self, board: Board) -> tuple[float, float, float]:
         """Length, width and thickness of one of the boards, m."""
@@ -151,7 +172,7 @@ class TransporterSpec:
         return unit * np.array(self.sb_stiffness), unit * np.array(self.sb_damping)
 
 
-TRANSPORTERS: Registry[TransporterSpec] = Registry("transporter")
+TRANSPORTERS: Registry[TransporterSpec] = Registry("transporter", hint="or a .toml file that describes one")
 DESIGNS: dict[str, Design] = {"single_board": SINGLE_BOARD, "two_board": TWO_BOARD}
 _SIZES = {"G1": ((0.9, 0.7, 0.05), 11.5, 1.0), "G2": ((1.5, 1.1, 0.05), 30.0, 5.0)}
 for _kind, _design in DESIGNS.items():
@@ -161,16 +182,17 @@ for _kind, _design in DESIGNS.items():
         TRANSPORTERS.register(_name, TransporterSpec(_name, _design, _size, _mass, spring_scale=_scale))
 
 
-def get_transporter(transporter: str | TransporterSpec, robot: RobotSpec) -> TransporterSpec:
+def get_transporter(transporter: str | Path | Mapping[str, Any] | TransporterSpec, robot: RobotSpec) -> TransporterSpec:
     """The transporter that is meant, wherever one can be chosen.
 
     Args:
-        transporter: a registered name; ``single_board`` or ``two_board`` for the one of the robot's size class; or a
-            spec of your own.
+        transporter: a registered name; ``single_board`` or ``two_board`` for the one of the robot's size class; path of
+            a ``.toml`` file (see :func:`read_transporter`), or what it holds; or a spec of your own.
         robot: the rider.
 
     Raises:
         UnknownNameError: for an unknown name.
+        TransporterError: for a file that does not describe a transporter.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS
@@ -179,8 +201,54 @@ def get_transporter(transporter: str | TransporterSpec, robot: RobotSpec) -> Tra
     """
     if isinstance(transporter, TransporterSpec):
         return transporter
+    if isinstance(transporter, Mapping):
+        values = dict(transporter)
+        _convert(values)
+        return TransporterSpec(**values)
+    if is_spec_file(transporter):
+        return read_transporter(transporter)
     if transporter in DESIGNS:
         return TRANSPORTERS.get(f"{transporter}_{robot.group.lower()}")
     if transporter not in TRANSPORTERS.names():
-        raise unknown("transporter", transporter, [*DESIGNS, *TRANSPORTERS.names()])
-    return TRANSPORTERS.get(transporter)
+        raise unknown("transporter", transporter, [*DESIGNS, *TRANSPORTERS.names()], TRANSPORTERS.hint)
+    return TRANSPORTERS.get(str(transporter))
+
+
+def read_transporter(path: str | Path) -> TransporterSpec:
+    """A transporter described by a TOML file, whose keys are the fields of :class:`TransporterSpec`.
+
+    Args:
+        path: of the file; ``design`` in it is ``"single_board"`` or ``"two_board"``. Fields with a default may be left
+            out.
+
+    Raises:
+        TransporterError: if the file is missing, malformed, lacks a key, has one too many, or holds an impossible
+            value.
+
+    Example:
+        >>> read_transporter("nowhere.toml")
+        Traceback (most recent call last):
+        ...
+        torchrl_atr.envs.models.transporter.TransporterError: there is no transporter file nowhere.toml; check its path
+    """
+    return read_spec(path, TransporterSpec, "transporter", TransporterError, lambda values, _: _convert(values))
+
+
+def _convert(values: dict[str, Any]) -> None:
+    """Replace the name of a design by the design; one that is unknown stays, and is refused by name."""
+    if isinstance(values["design"], str):
+        values["design"] = DESIGNS.get(values["design"], values["design"])
+
+
+def describe_transporter(transporter: TransporterSpec) -> str | dict[str, Any]:
+    """What :func:`get_transporter` makes the same transporter of elsewhere, as plain values.
+
+    Its name if it is registered, or has boards of its own; otherwise what a file of it would hold.
+    """
+    if transporter.name in TRANSPORTERS.names() and TRANSPORTERS.get(transporter.name) == transporter:
+        return transporter.name
+    design = next((name for name, design in DESIGNS.items() if design == transporter.design), None)
+    if design is None:
+        return transporter.name
+    values = {field.name: getattr(transporter, field.name) for field in dataclasses.fields(transporter)}
+    return {**values, "design": design}

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_atr._cpus import available_cpus
-from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.models.scene import STAND, Scene
 from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
 from torchrl_atr.envs.profiles import Readings
 
@@ -43,6 +43,7 @@ class BatchEngine(Engine):
         self.time, self.warmstart = bind("time"), bind("qacc_warmstart")
         self.sensordata, self.actuator_force = bind("sensordata"), bind("actuator_force")
         self.fields = {name: expand(name) for name in RANDOMIZED_FIELDS}
+        self._stand = scene.model.key(STAND).id
         self._disabled = expand("opt.disableflags")
 
     def _substep(self, last: bool) -> None:
@@ -66,7 +67,7 @@ class BatchEngine(Engine):
 
     def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
         self._sense(True)  # an interrupt may have left them off
-        self.batch.reset(rows, keyframe=0, stage=_STATE)
+        self.batch.reset(rows, keyframe=self._stand, stage=_STATE)
         self.qpos[rows] = qpos
         self.qvel[rows] = qvel
         self.batch.forward(rows)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_atr._errors import MissingPackageError
-from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.models.scene import STAND, Scene
 from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
 from torchrl_atr.envs.profiles import Readings
 
@@ -81,7 +81,9 @@ class DmControlEngine(Engine):
         self.sensordata, self.actuator_force = data.sensordata[None].copy(), data.actuator_force[None]
         self.fields = {name: getattr(self._model, name)[None] for name in RANDOMIZED_FIELDS}
         rows = np.arange(1)
-        self._restart(rows, scene.model.key_qpos[:1], scene.model.key_qvel[:1])
+        stand = scene.model.key(STAND)
+        self._stand = stand.id
+        self._restart(rows, stand.qpos[None], stand.qvel[None])
 
     @property
     def time(self) -> Array:  # type: ignore[override]  # MuJoCo's scalar has no array to view
@@ -104,7 +106,7 @@ class DmControlEngine(Engine):
         mujoco.mj_setConst(self._model, self._data)
 
     def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
-        mujoco.mj_resetDataKeyframe(self._model, self._data, 0)
+        mujoco.mj_resetDataKeyframe(self._model, self._data, self._stand)
         self.qpos[:], self.qvel[:] = qpos, qvel
         self.forward()
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.models.scene import STAND, Scene
 from torchrl_atr.envs.physics.engine import Array, Engine
 
 PUSH_INTERVAL = 3.0
@@ -56,7 +56,7 @@ def initial_state(scene: Scene, n: int, generator: torch.Generator, speeds: Arra
     """The standing pose with slightly randomised height and joint angles, not moving relative to its transporter.
 
     Args:
-        scene: keyframe 0 is the standing pose.
+        scene: its keyframe ``stand`` is the standing pose.
         n: how many robots.
         generator: source of randomness.
         speeds: forward speed and yaw rate of the transporters, heading along x, (n, 2); None for rest.
@@ -67,7 +67,7 @@ def initial_state(scene: Scene, n: int, generator: torch.Generator, speeds: Arra
     model, layout = scene.model, scene.layout
     joints = len(layout.joint_qpos)
     draw = torch.rand(n, 1 + joints, generator=generator, dtype=torch.float64).numpy()
-    qpos = np.tile(model.key_qpos[0], (n, 1))
+    qpos = np.tile(model.key(STAND).qpos, (n, 1))
     qpos[:, layout.root_qpos + 2] += _HEIGHT_SPREAD * draw[:, 0]
     qpos[:, layout.joint_qpos] += _JOINT_SPREAD * (2.0 * draw[:, 1:] - 1.0)
     qvel = np.zeros((n, model.nv))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -52,7 +53,8 @@ class RidingState:
         platform_angular_velocity, platform_angular_acceleration: world frame, (N, 3).
         speeds: the drive law's forward speed and yaw rate in P_planar, (N, 2).
         driven_acceleration: v̇ and α that the law gives at this tilt, m/s² and rad/s², (N, 2).
-        foot_position, foot_force: (N, 4, 3); forces act on the foot.
+        foot_position, foot_force: (N, 4, 3); forces act on the foot. Of a foot of several geoms, the mean of their
+            centres and the sum of their forces.
         other_force: contact force on the rest of the robot, (N, 3).
         com: the robot's centre of mass, (N, 3).
         foot_load: magnitude of each foot's contact force, N, (N, 4).
@@ -124,6 +126,7 @@ class StateReader:
         self._planar_qpos, self._planar_dof = columns(layout.planar_qpos), columns(layout.planar_dof)
         self._tilt_qpos, self._tilt_dof = columns(layout.tilt_qpos), columns(layout.tilt_dof)
         self._actuators = columns(layout.actuators)
+        self._foot_sizes = layout.foot_sizes
         design = engine.scene.transporter.design  # both from hinge angles: (n, 2) @ (2, 2)
         self._driving = torch.tensor(design.driving).T
         self._roll_and_pitch = torch.tensor(design.attitude).flip(0).T
@@ -185,7 +188,7 @@ class StateReader:
         acceleration, platform_acceleration, platform_twist, joint_acceleration = rates.split(self._sizes, -1)
         rotation = matrix_from_quaternion(qpos[:, self._root_qpos.stop : self._root_qpos.stop + 4])
         # contact sensors give the force on the deck; the feet feel the opposite
-        foot_force = sensed[:, sensors["foot_force"]].neg().unflatten(-1, (-1, 3))
+        foot_force = _by_foot(sensed[:, sensors["foot_force"]].neg(), self._foot_sizes, torch.sum)
         state = RidingState(
             position=qpos[:, self._root_qpos],
             velocity=velocity,
@@ -207,12 +210,20 @@ class StateReader:
             platform_angular_acceleration=platform_twist,
             speeds=speeds,
             driven_acceleration=driven_acceleration,
-            foot_position=sensed[:, sensors["foot_position"]].unflatten(-1, (-1, 3)),
+            foot_position=_by_foot(sensed[:, sensors["foot_position"]], self._foot_sizes, torch.mean),
             foot_force=foot_force,
             other_force=-sensed[:, sensors["robot_force"]] - foot_force.sum(-2),
             com=sensed[:, sensors["com"]],
         )
         return state, now
+
+
+def _by_foot(values: Tensor, sizes: tuple[int, ...], reduce: Callable[..., Tensor]) -> Tensor:
+    """Vectors of geoms, (n, 3 G), reduced to those of feet that have so many geoms each, (n, 4, 3)."""
+    vectors = values.unflatten(-1, (-1, 3))
+    if len(sizes) == vectors.shape[-2]:
+        return vectors
+    return torch.stack([reduce(foot, -2) for foot in vectors.split(sizes, -2)], -2)
 
 
 def _mix(angles: Tensor, matrix: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ import torch
 from tensordict import NestedKey
 from torch import Tensor
 
+from torchrl_atr.envs.models.mirror import find_asymmetry
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.models.transporter import Board, TransporterError, TransporterSpec
@@ -37,7 +38,8 @@ def reflections(scene: Scene, readings: Readings) -> dict[NestedKey, Tensor]:
         By key the matrix R, (D, D), that makes the mirror image R x; a signed permutation that undoes itself.
 
     Raises:
-        RobotError, TransporterError: if the left legs or boards are not the mirror image of the right ones.
+        RobotError, TransporterError: if the left legs or boards are not the mirror image of the right ones, in
+            geometry, masses or joints.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
@@ -112,6 +114,12 @@ def _joints(scene: Scene) -> Tensor:
             f"joint {robot.joints[odd]!r} is not the mirror image of {robot.joints[int(partner[odd])]!r}, in its axis "
             "or its angle in q0; correct that, or train with symmetric=false"
         )
+    difference = find_asymmetry(model, robot, matrix.sum(-1).numpy())
+    if difference is not None:
+        raise robot.error(
+            f"{difference.left} is not the mirror image of {difference.right}: {difference.what}; correct "
+            "that, or train with symmetric=false"
+        )
     return matrix
 
 
@@ -127,6 +135,14 @@ def _gains(deck: TransporterSpec) -> Tensor:
             )
         for hinge, partner in zip(board.hinges, mirrored.hinges):
             matrix[partner.gain, hinge.gain] = 1.0
+            for name in ("sb_stiffness", "sb_damping"):
+                values = getattr(deck, name)
+                if not math.isclose(values[hinge.gain], values[partner.gain], rel_tol=1e-3, abs_tol=1e-12):
+                    raise TransporterError(
+                        f"transporter {deck.name!r}: {name} of {hinge.name!r} and {partner.name!r} are "
+                        f"{values[hinge.gain]:g} and {values[partner.gain]:g}; give both sides the same, or train with "
+                        "symmetric=false"
+                    )
     return matrix
 
 
