@@ -53,7 +53,7 @@ def describe(scene: Scene) -> Description:
         >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
         >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
         >>> describe(scene)["robot"]["body FL_thigh"]["body_mass"]
-        [1.013]
+        1.013
     """
     description: Description = {
         "robot": {"spec": _facts(scene.robot, "name", "mjcf"), "option": _options(scene.model)},
