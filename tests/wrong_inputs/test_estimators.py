@@ -164,9 +164,9 @@ def test_refused_before_anything_is_written(refused, registered, tmp_path, tiny,
 
 def test_the_check_is_quick():
     check_registered("mlp", [((10, 46), 16)])
-    begun = time.monotonic()
+    begun = time.process_time()  # not what other processes take
     check_registered("cnn_gru", [((10, 46), 16), ((10, 49), 16)])
-    assert time.monotonic() - begun < 2.0  # 0.1 s where nothing else runs
+    assert time.process_time() - begun < 1.0
 
 
 def test_the_check_draws_no_random_number(registered, tmp_path):
@@ -214,8 +214,8 @@ def test_what_each_estimator_is_is_listed(registered, capsys, tmp_path):
     assert main(["list", "estimators"]) == 0
     rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line}
     assert "torchrl_atr.modules.estimators.CNNGRUEstimator" in rows["cnn_gru"]
-    assert f"{46 * 16 + 16}  The newest observation through one layer." in rows["mine"]
-    assert "tests.wrong_inputs.test_estimators.Plain" in rows["mine"]
+    name = "tests.wrong_inputs.test_estimators.Plain"
+    assert rows["mine"].split(maxsplit=3)[1:] == [name, "752", "The newest observation through one layer."]
     assert "<lambda>" in rows["unnamed"]
     assert "The newest observation through one layer." in rows["unnamed"]
     assert "Base class" not in rows["bare"]

@@ -14,7 +14,7 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
+from torchrl_atr.modules import EstimatorError, NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.sizes import estimator_sizes
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
@@ -141,6 +141,9 @@ def load_run(
     if replaced:  # networks keep the symmetry of what they were trained on, wherever they ride
         own = make_env(config, num_envs=1, **_TO_LOOK_AT)
     check_model(state, own.base_env.scene, run, replaced)
-    networks = make_run_networks(config, own)
+    try:
+        networks = make_run_networks(config, own)
+    except EstimatorError as error:
+        raise CheckpointError(f"the estimator {config.estimator!r} of {run} does not work here: {error}") from error
     load_networks(networks, deployed_weights(state["learner"]), run)
     return config, env, networks.eval(), state
