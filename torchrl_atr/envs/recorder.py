@@ -85,18 +85,17 @@ class FlightRecorder:
         return f"; see it with: torchrl-atr replay {path}"
 
 
-def describe_scene(task: RidingTask, robot: Any, transporter: Any = None) -> dict[str, Any]:
+def describe_scene(task: RidingTask, robot: Any) -> dict[str, Any]:
     """Return what :class:`FlightRecorder` needs to build the scene again, as plain values.
 
     Args:
         task: its transporter and readings.
         robot: as the env was given it; a spec of one's own is named, and must be registered to be replayed.
-        transporter: likewise.
     """
     scene = task.scene
     return {
         "robot": str(robot) if isinstance(robot, str | Path) else scene.robot.name,
-        "transporter": str(transporter) if is_file(transporter) else scene.transporter.name,
+        "transporter": scene.transporter.name,
         "readings": dataclasses.asdict(task.readings),
         "model": describe(scene),
     }

@@ -115,7 +115,7 @@ class RidingEnv(EnvBase):
         self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start, retry, compiled)
         self._recorder = None
         if dump_dir is not None:
-            self._recorder = FlightRecorder(self.task, describe_scene(self.task, robot, transporter), Path(dump_dir))
+            self._recorder = FlightRecorder(self.task, describe_scene(self.task, robot), Path(dump_dir))
         self._emitted = self.task.observe(torch.zeros(num_envs, len(COMMAND_FEATURES)))
         self._make_specs()
 

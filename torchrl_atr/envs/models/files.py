@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import mujoco
 
 from torchrl_atr.envs.models.robot import RobotError
-from torchrl_atr.envs.models.robot_file import SUFFIX, read_robot
+from torchrl_atr.envs.models.robot_file import read_robot
 
 _DIRECTORIES = ("meshdir", "texturedir", "assetdir")
 _XML = (".xml", ".mjcf", ".urdf")
@@ -68,7 +68,7 @@ COPIES: dict[str, Callable[[Path, Path], Path]] = {"robot": copy_robot, "transpo
 
 def is_file(value: object) -> bool:
     """Whether one of :data:`COPIES` is given by a file rather than by name or as a spec."""
-    return isinstance(value, str | Path) and str(value).endswith(SUFFIX)
+    return isinstance(value, str | Path) and str(value).endswith(".toml")
 
 
 def dependencies(mjcf: Path) -> list[Path]:
