@@ -129,3 +129,24 @@ def test_training_with_files_is_training_without(tmp_path):
         ends.append(load_checkpoint(run)["learner"]["networks"])
     for name, value in ends[0].items():
         assert torch.equal(value, ends[1][name]), name
+
+
+def test_a_transporter_of_ones_own_is_kept_too(tmp_path, capsys):
+    pytest.importorskip("torchrl_atr.envs.models.spec_file")
+    deck = tmp_path / "source" / "wide.toml"
+    deck.parent.mkdir()
+    deck.write_text('name = "wide"\ndesign = "two_board"\nsize = [0.9, 0.9, 0.05]\nmass = 14.0\n')
+    trainer = Trainer(make_config({**TINY, "transporter": str(deck)}), tmp_path / "run")
+    trainer.train()
+    trainer.env.rollout(2)
+    trainer.env.base_env._recorder.dump(0, "a test")
+    shutil.rmtree(deck.parent)
+    run = Path(shutil.move(tmp_path / "run", tmp_path / "moved"))
+    assert load_checkpoint(run)["config"]["transporter"] == "model/transporter/wide.toml"
+    assert load_run(run, num_envs=1)[1].base_env.scene.transporter.mass == 14.0
+    (dump,) = (run / DUMPS).iterdir()
+    assert len(list(replay(dump))) == 2
+    copy = run / "model" / "transporter" / "wide.toml"
+    copy.write_text(copy.read_text().replace("14.0", "15.0"))
+    assert main(["evaluate", str(run), *GRID]) == 2
+    assert "the transporter's mass: 14 then, 15 now" in capsys.readouterr().err
