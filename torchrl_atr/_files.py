@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -81,9 +82,12 @@ def say(text: str) -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Removes what a killed process left of files that it was writing with :func:`atomic`."""
-    for file in folder.glob(".*.part*"):
-        file.unlink(missing_ok=True)
+    """Removes what a killed process left of files that it was writing with :func:`atomic`, and of such folders."""
+    for path in folder.glob(".*.part*"):
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 @contextmanager

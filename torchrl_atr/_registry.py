@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from torchrl_atr._errors import InputError, UserError
+from torchrl_atr._errors import InputError, UserError, first_line
 
 if TYPE_CHECKING:  # names of robots are looked up without them
     from tensordict import NestedKey, TensorDictBase
@@ -112,8 +112,12 @@ class Registry(Generic[T]):
         return tuple(self._entries)
 
 
-def import_modules(names: Sequence[str]) -> None:
+def import_modules(names: Sequence[str], where: str = "run where it can be found, and imports alone") -> None:
     """Imports user modules, so that they register what is theirs; the working directory counts, as for ``python -m``.
+
+    Args:
+        names: of the modules.
+        where: what to do about one that cannot be imported, for the message.
 
     Raises:
         InputError: if one cannot be imported.
@@ -127,6 +131,4 @@ def import_modules(names: Sequence[str]) -> None:
         try:
             importlib.import_module(name)
         except (ImportError, SyntaxError) as error:
-            raise InputError(
-                f"cannot import {name!r} ({error}); run where it can be found, and imports alone"
-            ) from error
+            raise InputError(f"cannot import {name!r} ({first_line(error)}); {where}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -51,10 +52,41 @@ def transporters() -> Iterator[str]:
 
 
 def estimators() -> Iterator[str]:
-    """Registered estimators, with the first line of their docstrings."""
-    from torchrl_atr.modules import available_estimators, get_estimator
+    """Registered estimators: what makes them, how many parameters they have by default, what their docstring says."""
+    from torchrl_atr.modules import EstimatorError, available_estimators, get_estimator
+    from torchrl_atr.modules.estimators import build_estimator
 
-    return _table([name, _summary(get_estimator(name))] for name in available_estimators())
+    rows = [["estimator", "made by", "parameters", "what it is"]]
+    for name in available_estimators():
+        factory = get_estimator(name)
+        try:
+            net = build_estimator(factory, history_shape=_HISTORY, out_features=_ESTIMATE)
+            size = sum(parameter.numel() for parameter in net.parameters())
+            figures = [f"{size:,}", _summary(_made_by(factory, net))]
+        except (EstimatorError, ValueError) as error:  # a parameter without a shape yet
+            figures = ["-", str(error)]
+        rows.append([name, _origin(factory), *figures])
+    yield from _table(rows)
+    yield ""
+    yield f"Parameters: of one that maps a history of {_HISTORY[0]} x {_HISTORY[1]} to {_ESTIMATE} numbers."
+
+
+_HISTORY, _ESTIMATE = (10, 46), 16
+
+
+def _origin(factory: Any) -> str:
+    """Module and name of what was registered, of partials what they call."""
+    while isinstance(factory, functools.partial):
+        factory = factory.func
+    named = factory if hasattr(factory, "__qualname__") else type(factory)
+    return f"{named.__module__}.{named.__qualname__}"
+
+
+def _made_by(factory: Any, net: Any) -> Any:
+    """What describes an estimator: its factory if that has a docstring of its own, else its module's class."""
+    while isinstance(factory, functools.partial):
+        factory = factory.func
+    return factory if getattr(factory, "__doc__", None) else type(net)
 
 
 def rewards() -> Iterator[str]:
@@ -100,7 +132,8 @@ def _value(value: Any) -> str:
 
 
 def _summary(thing: Any) -> str:
-    return (inspect.getdoc(thing) or "").partition("\n")[0]
+    """The first line of its own docstring, not of one that it inherits."""
+    return inspect.cleandoc(getattr(thing, "__doc__", None) or "").partition("\n")[0]
 
 
 LISTINGS: dict[str, Callable[[], Iterable[str]]] = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,22 +41,21 @@ def train(arguments: argparse.Namespace) -> int:
     values = read_config(arguments.config) if arguments.config else {}
     values |= {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
     if arguments.start is None:
-        config = make_config(values, arguments.overrides)
-    else:
-        config = _config_from(arguments.start, values, arguments.overrides)
-    return _exit_code(Trainer(config, output, start=arguments.start).train())
+        return _exit_code(Trainer(make_config(values, arguments.overrides), output).train())
+    config = _config_from(arguments.start, values, arguments.overrides)
+    named = {*values, *(text.partition("=")[0].strip() for text in arguments.overrides or [])}
+    return _exit_code(Trainer(config, output, start=arguments.start, replaced=named).train())
 
 
 def _config_from(run: Path, values: dict[str, Any], overrides: list[str] | None) -> TrainConfig:
     """The settings of another run with those that are given in their place."""
     from torchrl_atr.training import ConfigError, load_checkpoint, make_config
-    from torchrl_atr.training.restoring import check_parts
+    from torchrl_atr.training.restoring import saved_settings
 
-    state = load_checkpoint(run)
-    check_parts(state, run)
-    config = make_config({**state["config"], **values}, overrides)
-    if config.profile != state["config"]["profile"]:  # it would take the recipe of one and the physics of the other
-        raise ConfigError(f"--profile {config.profile}: --from {run} keeps that run's, {state['config']['profile']}")
+    settings = saved_settings(load_checkpoint(run), run, values.get("imports", ()))
+    config = make_config({**settings, **values, "imports": settings["imports"]}, overrides)
+    if config.profile != settings["profile"]:  # it would take the recipe of one and the physics of the other
+        raise ConfigError(f"--profile {config.profile}: --from {run} keeps that run's, {settings['profile']}")
     return config
 
 
@@ -89,14 +89,15 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
     output = _report_folder(arguments)
-    deck = _deck(arguments)
-    config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), num_envs=1, **deck)
+    other = _other_model(arguments)
+    imports = arguments.imports or ()
+    config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), imports, num_envs=1, **other)
     env.close()
     make_folder(output)
     with TorchThreads() as threads:
         result = evaluate_tracking(
             networks.deployed_policy(),
-            partial(make_env, config, randomization=arguments.randomization, **deck, **DEPLOYED),
+            partial(make_env, config, randomization=arguments.randomization, **other, **DEPLOYED),
             command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
             robots_per_command=arguments.robots_per_command,
             seed=arguments.seed,
@@ -105,6 +106,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
         )
     metrics = tracking_metrics(result)
     metrics["evaluation"] = {
+        "robot": env.base_env.scene.robot.name,
         "transporter": env.base_env.scene.transporter.name,
         "seed": arguments.seed,
         "randomization": arguments.randomization,
@@ -126,21 +128,23 @@ def _checkpoint(arguments: argparse.Namespace) -> str | None:
     return BEST if arguments.checkpoint == "best" else None
 
 
-def _deck(arguments: argparse.Namespace) -> dict[str, str]:
-    """The env argument that puts the run's robot on another transporter, if one is asked for."""
-    return {} if arguments.transporter is None else {"transporter": arguments.transporter}
+def _other_model(arguments: argparse.Namespace) -> dict[str, str]:
+    """The env arguments that take the place of the run's robot or transporter, if any are asked for."""
+    asked = {name: getattr(arguments, name) for name in ("robot", "transporter")}
+    return {name: value for name, value in asked.items() if value is not None}
 
 
 def _report_folder(arguments: argparse.Namespace) -> Path:
-    """Where the report goes: a run's own is of the transporter that it was trained on."""
+    """Where the report goes: a run's own is of the robot and transporter that it was trained on."""
     from torchrl_atr.training import ConfigError
 
     output = arguments.output or arguments.run
-    if arguments.transporter is not None and output.resolve() == arguments.run.resolve():
-        raise ConfigError(
-            f"--transporter {arguments.transporter}: the report in {arguments.run} is of the transporter that it was "
-            "trained on; give another folder with --output"
-        )
+    for name, value in _other_model(arguments).items():
+        if output.resolve() == arguments.run.resolve():
+            raise ConfigError(
+                f"--{name} {value}: the report in {arguments.run} is of the {name} that it was trained on; give "
+                "another folder with --output"
+            )
     return output
 
 
@@ -165,9 +169,8 @@ def play(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import play_viewer, record_video
     from torchrl_atr.training import DEPLOYED, load_run
 
-    _, env, networks, _ = load_run(
-        arguments.run, _checkpoint(arguments), num_envs=1, seed=arguments.seed, **_deck(arguments), **DEPLOYED
-    )
+    chosen = {"num_envs": 1, "seed": arguments.seed, **_other_model(arguments), **DEPLOYED}
+    _, env, networks, _ = load_run(arguments.run, _checkpoint(arguments), arguments.imports or (), **chosen)
     policy = networks.deployed_policy()
     if arguments.video is None:
         play_viewer(policy, env)
@@ -176,11 +179,21 @@ def play(arguments: argparse.Namespace) -> None:
         sys.stdout.write(f"wrote {arguments.video}\n")
 
 
+def _imports_of(dump: Path) -> Sequence[str]:
+    """The modules that a dump's run remembers; none if the dump is not in a run's folder."""
+    from torchrl_atr.training import ConfigError, read_config
+
+    try:
+        return read_config(dump.resolve().parents[1] / "config.json").get("imports", ())
+    except (ConfigError, IndexError):
+        return ()
+
+
 def replay(arguments: argparse.Namespace) -> None:
     """``torchrl-atr replay``."""
     from torchrl_atr.evaluation import replay as replayed
 
-    import_modules(arguments.imports or ())
+    import_modules(arguments.imports or _imports_of(arguments.dump))
     sys.stdout.write(f"{'step':>6}{'v, m/s':>10}{'w, rad/s':>10}{'tilt, rad':>11}{'max |qvel|':>12}{'max |a|':>9}\n")
     for step in replayed(arguments.dump, arguments.video):
         figures = f"{step.speed:10.3f}{step.yaw_rate:10.3f}{step.tilt:11.3f}{step.largest_velocity:12.4g}"

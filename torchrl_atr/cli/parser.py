@@ -31,7 +31,7 @@ SETTINGS = (
 """Settings that have an option of their own."""
 PLACES = ("config", "overrides", "output", "overwrite", "start")
 """What else ``train`` takes."""
-RESUMABLE = ("total_frames", "max_minutes", "device")
+RESUMABLE = ("total_frames", "max_minutes", "device", "imports")
 
 
 def _path(text: str) -> Path:
@@ -135,8 +135,10 @@ def _add_import(parser: argparse.ArgumentParser) -> None:
 def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=_run)
     _add_checkpoint(parser)
+    _add_import(parser)
     parser.add_argument("--seed", type=_seed, default=0)
     parser.add_argument("--output", type=_path, help="where the report goes; default: the run folder")
+    parser.add_argument("--robot", help="measure another one than it was trained with; needs --output")
     parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
     parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
     parser.add_argument("--max-speed", type=_number(float, 0, 100), default=2.0, help="m/s")
@@ -149,6 +151,8 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
 def _add_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", type=_run)
     _add_checkpoint(parser)
+    _add_import(parser)
+    parser.add_argument("--robot", help="watch another one than it was trained with")
     parser.add_argument("--transporter", help="ride another one than it was trained on")
     parser.add_argument("--video", type=_path, help="write an .mp4 or .gif instead of opening a viewer")
     parser.add_argument("--seconds", type=_number(float, 0.1, 3600), default=20.0, help="of the video")
@@ -169,7 +173,8 @@ def refuse(arguments: argparse.Namespace, text: str) -> None:
     """Exits with code 2 for an argument that the command does not have; a setting may go by ``--set``."""
     name = text.partition("=")[0].lstrip("-")
     options = re.findall(r"--[a-z-]+", arguments.parser.format_usage())
-    hint = nearest(f"--{name}", options, otherwise=f"see torchrl-atr {arguments.command} --help")
+    similar = nearest(name, (option.removeprefix("--") for option in options), otherwise="")  # dashes say nothing
+    hint = similar.replace("'", "'--", 1) or f"see torchrl-atr {arguments.command} --help"
     if arguments.command == "train" and f"--{name}" not in options:
         from torchrl_atr.training import TrainConfig
 

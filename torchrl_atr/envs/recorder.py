@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
+import os
 import uuid
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
-from torchrl_atr.envs.models.robot_file import is_robot_file
+from torchrl_atr.envs.models.files import COPIES
+from torchrl_atr.envs.models.identity import describe
+from torchrl_atr.envs.models.spec_file import is_spec_file
 from torchrl_atr.envs.models.transporter import describe_transporter
 from torchrl_atr.envs.task.core import RidingTask
 
 LENGTH = 25
-"""Control steps that are kept: half a second, some 18 kB for a robot."""
+"""Control steps that are kept: half a second, some 60 kB for a robot."""
 _PARTS = {"scene", "env_id", "step", "reason", "x_int", "states", "actions"}
 
 
@@ -38,7 +39,8 @@ class FlightRecorder:
     """
 
     def __init__(self, task: RidingTask, scene: dict[str, Any], folder: Path, length: int = LENGTH) -> None:
-        self.task, self.scene, self.folder, self.length = task, scene, folder, length
+        self.task, self.folder, self.length = task, folder, length
+        self.scene = {**scene, **{name: _portable(scene[name], folder) for name in COPIES}}
         self._rings = {name: np.zeros((length, *a.shape)) for name, a in task.engine.live_state.items()}
         self._actions = torch.zeros(length, *task.previous_action.shape)
         self._noted = 0
@@ -86,33 +88,34 @@ class FlightRecorder:
 
 
 def describe_scene(task: RidingTask, robot: Any) -> dict[str, Any]:
-    """What :class:`FlightRecorder` needs to build the scene again, as plain values.
+    """Return what :class:`FlightRecorder` needs to build the scene again, as plain values.
 
     Args:
         task: its transporter and readings.
         robot: as the env was given it; a spec of one's own is named, and must be registered to be replayed.
     """
+    scene = task.scene
     return {
-        "robot": _portable(robot) if isinstance(robot, str | Path) else task.scene.robot.name,
-        "transporter": describe_transporter(task.scene.transporter),
+        "robot": str(robot) if isinstance(robot, str | Path) else scene.robot.name,
+        "transporter": describe_transporter(scene.transporter),
         "readings": dataclasses.asdict(task.readings),
-        "model": fingerprint(task.scene.model),
+        "model": describe(scene),
     }
 
 
-def _portable(robot: str | Path) -> str:
-    return str(Path(robot).resolve()) if is_robot_file(str(robot)) else str(robot)
-
-
-def fingerprint(model: mujoco.MjModel) -> str:
-    """Of a compiled model: the same names may stand for another robot where a dump is read."""
-    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
-    mujoco.mj_saveModel(model, None, buffer)
-    return hashlib.sha256(buffer.tobytes()).hexdigest()
+def _portable(name: str, folder: Path) -> str:
+    """A file relative to the dumps where both are of one run, so that it can be moved; else absolute."""
+    if not is_spec_file(name):
+        return name
+    path, folder = Path(name).resolve(), folder.resolve()
+    return os.path.relpath(path, folder) if path.is_relative_to(folder.parent) else str(path)
 
 
 def load_dump(path: Path) -> dict[str, Any]:
     """Reads a dump.
+
+    Returns:
+        Its parts; robot and transporter files in ``scene`` are absolute paths, wherever the dump is now.
 
     Raises:
         InputError: if it is missing or no dump.
@@ -128,6 +131,9 @@ def load_dump(path: Path) -> dict[str, Any]:
             or any(len(value) != len(actions) for value in states.values())
         ):
             raise ValueError("parts are missing")
+        scene = dump["scene"]
+        for name in COPIES:
+            scene[name] = str(path.resolve().parent / scene[name]) if is_spec_file(scene[name]) else scene[name]
     except Exception as error:  # whatever unpickling a file of another kind comes to
         raise InputError(f"{path} is not a dump of a diverged simulation; give a file of a run's diverged/") from error
     return dump

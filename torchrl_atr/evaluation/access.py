@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import torch
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 from torchrl.envs.transforms import Transform
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_atr.envs.task.observations import EXTRINSIC, extrinsic_components
 from torchrl_atr.envs.task.state import StateReader
@@ -19,6 +22,32 @@ def base_env(env: EnvBase) -> Any:
     while isinstance(env, TransformedEnv):
         env = env.base_env
     return env
+
+
+@contextmanager
+def deterministic(policy: TensorDictModuleBase) -> Iterator[None]:
+    """Run a block in eval mode, without gradients and exploration; afterwards each module is in the mode it was in.
+
+    Args:
+        policy: its modules may be shared, in one mode or several.
+
+    Example:
+        >>> from tensordict.nn import TensorDictModule
+        >>> policy = TensorDictModule(torch.nn.Dropout(), ["observation"], ["action"])
+        >>> with deterministic(policy):
+        ...     policy.module.training
+        False
+        >>> policy.module.training
+        True
+    """
+    modes = {module: module.training for module in policy.modules()}
+    policy.eval()
+    try:
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            yield
+    finally:
+        for module, mode in modes.items():
+            module.training = mode
 
 
 def command_owner(env: EnvBase) -> Any:

@@ -11,9 +11,11 @@ import numpy as np
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
+from torchrl_atr._registry import UnknownNameError
 from torchrl_atr.envs import Readings, RidingEnv
+from torchrl_atr.envs.models.identity import describe, differences, first_few
 from torchrl_atr.envs.physics.engine import DECIMATION
-from torchrl_atr.envs.recorder import fingerprint, load_dump
+from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.evaluation.rendering import Picture
 from torchrl_atr.evaluation.video import check_suffix, video_writer
@@ -52,8 +54,8 @@ def replay(path: str | Path, video: str | Path | None = None) -> Iterator[Replay
         The recorded steps, oldest first; the last one is the step that failed.
 
     Raises:
-        InputError: if it is no dump, its robot or transporter is another one here, or the video has another suffix.
-        UnknownNameError: if its robot or transporter is not registered here.
+        InputError: if it is no dump, its robot or transporter is unknown or another one here, or the video has another
+            suffix.
         DisplayError: if there is a video to make and nothing here can render.
     """
     dump = load_dump(Path(path))
@@ -79,22 +81,28 @@ def _scene(dump: dict[str, Any], path: Path) -> RidingEnv:
     scene = dump["scene"]
     try:
         readings = Readings(**scene["readings"])
+        if not isinstance(scene["model"], dict):
+            raise TypeError("its model is not described")
     except TypeError as error:
         raise InputError(f"{path} was written by another version ({error}); replay it with that one") from error
-    env = RidingEnv(
-        scene["robot"],
-        scene["transporter"],
-        num_envs=1,
-        profile=readings,
-        randomization="off",
-        pushes=False,
-        num_threads=1,
-        seed=0,
-    )
-    if fingerprint(env.model) != scene["model"]:
+    try:
+        env = RidingEnv(
+            scene["robot"],
+            scene["transporter"],
+            num_envs=1,
+            profile=readings,
+            randomization="off",
+            pushes=False,
+            num_threads=1,
+            seed=0,
+        )
+    except UnknownNameError as error:
+        raise InputError(f"{path}: {error}; if a module of yours registers it, give that with --import") from error
+    changed = differences(scene["model"], describe(env.scene))
+    if changed:
         raise InputError(
-            f"{path} is of another {scene['robot']!r} on {scene['transporter']!r} than the ones known here; register "
-            "those that it was written with"
+            f"{path} is of another {env.scene.robot.name!r} on {env.scene.transporter.name!r} than those known here "
+            f"({first_few(changed)}); replay it with those that it was written with"
         )
     return env
 

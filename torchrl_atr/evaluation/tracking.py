@@ -15,11 +15,11 @@ from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from torchrl.envs.utils import step_mdp
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.evaluation.access import command_owner, extrinsic_names, platform_speeds
+from torchrl_atr.evaluation.access import command_owner, deterministic, extrinsic_names, platform_speeds
 from torchrl_atr.evaluation.estimators import EstimatorErrors, EstimatorSums
 from torchrl_atr.modules.keys import NetworkKeys
 
@@ -228,17 +228,12 @@ class _Ride:
     def run(self, total: int, report: Callable[[int], None]) -> None:
         """Rides ``total`` steps from a reset, reporting the number done after each."""
         command_owner(self.env).pin(self.commands)
-        was_training = self.policy.training
-        self.policy.eval()
-        try:
-            with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-                td = self.env.reset()
-                self._alive.append(torch.ones(len(self.commands), dtype=torch.bool))
-                for step in range(1, total + 1):
-                    td = self._step(td)
-                    report(step)
-        finally:
-            self.policy.train(was_training)
+        with deterministic(self.policy):
+            td = self.env.reset()
+            self._alive.append(torch.ones(len(self.commands), dtype=torch.bool))
+            for step in range(1, total + 1):
+                td = self._step(td)
+                report(step)
 
     def _step(self, td: TensorDictBase) -> TensorDictBase:
         alive = self._alive[-1]

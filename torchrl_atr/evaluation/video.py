@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.evaluation.access import command_owner, platform_speeds
+from torchrl_atr.evaluation.access import command_owner, deterministic, platform_speeds
 from torchrl_atr.evaluation.rendering import CHASE, Picture
 
 Command = tuple[float, float, float]
@@ -119,28 +116,17 @@ def ride(
     owner, command = command_owner(env), command_at(commands, 0.0)
     owner.pin(command)
     try:
-        with _deterministic(policy):
+        with deterministic(policy):
             td = env.reset()
         for step in range(steps):
             upcoming = command_at(commands, (step + 1) * CONTROL_DT)
             owner.pin(upcoming)  # shows in the observation after this step
-            with _deterministic(policy):
+            with deterministic(policy):
                 stepped, td = env.step_and_maybe_reset(policy(td))
             yield command, bool(stepped["next", "terminated"].reshape(-1)[0])
             command = upcoming
     finally:
         owner.unpin()
-
-
-@contextmanager
-def _deterministic(policy: TensorDictModuleBase) -> Iterator[None]:
-    was_training = policy.training
-    policy.eval()
-    try:
-        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-            yield
-    finally:
-        policy.train(was_training)
 
 
 def _caption(time: float, command: tuple[float, float], speeds: Sequence[float], falls: int) -> tuple[str, str]:

@@ -11,6 +11,7 @@ from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.encoder import IntrinsicEncoder
 from torchrl_atr.modules.estimators import (
     CNNGRUEstimator,
+    EstimatorError,
     MLPEstimator,
     NormalizedEstimator,
     available_estimators,
@@ -32,6 +33,7 @@ __all__ = [
     "AsymmetricCritic",
     "CNNGRUEstimator",
     "CorrelatedGaussian",
+    "EstimatorError",
     "IntrinsicEncoder",
     "MLPEstimator",
     "NetworkKeys",

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from copy import deepcopy
 from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn.parameter import is_lazy
 
-from torchrl_atr.modules.estimators import EstimatorFactory
+from torchrl_atr._errors import first_line
+from torchrl_atr.modules.estimators import EstimatorError, EstimatorFactory, build_estimator, get_estimator
 
 
 def check_estimator(
@@ -21,7 +24,8 @@ def check_estimator(
 
     It builds two estimators and checks: output shape, dtype and finiteness for several leading shapes; the
     same output for the same input in eval mode; no row of a batch depends on another; the input is left as
-    it is; gradients reach every trainable parameter; a ``state_dict`` round trip gives the same outputs; a
+    it is; gradients reach every trainable parameter; in training mode two steps can follow each other, and the
+    second knows nothing of the first; a ``state_dict`` round trip gives the same outputs; a
     ``copy.deepcopy`` works on weights of its own, as the running mean that is deployed does.
 
     Args:
@@ -31,7 +35,8 @@ def check_estimator(
         **kwargs: passed to the factory.
 
     Raises:
-        AssertionError: naming the property that fails and what to do about it.
+        EstimatorError: (an ``AssertionError``) naming the property that fails and what to do about it; so is
+            whatever the factory or its module raises.
 
     Examples:
         >>> from torchrl_atr.modules import CNNGRUEstimator
@@ -40,24 +45,57 @@ def check_estimator(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         build = dict(history_shape=history_shape, out_features=out_features, **kwargs)
-        net, twin = factory(**build), factory(**build)
-        _require(
-            isinstance(net, nn.Module),
-            "module",
-            f"the factory returned a {type(net).__name__}; return an nn.Module.",
-        )
-        net.eval()
-        twin.eval()
-        _check_outputs(net, history_shape, out_features)
-        history = torch.randn(6, *history_shape)
-        _check_behaviour(net, history)
-        _check_gradients(net, history)
-        _check_state_dict(net, twin, history)
-        _check_copy(net, history)
+        net, twin = build_estimator(factory, **build), build_estimator(factory, **build)
+        try:
+            _check_all(net, twin, history_shape, out_features)
+        except EstimatorError:
+            raise
+        except Exception as error:  # of the user's own code
+            raise _failure(
+                "run",
+                f"it raised {type(error).__name__}: {first_line(error)}. Correct its forward pass.",
+            ) from error
 
 
-def _failure(name: str, remedy: str) -> AssertionError:
-    return AssertionError(f"Estimator check {name!r} failed: {remedy}")
+def check_registered(name: str, sizes: Iterable[tuple[tuple[int, int], int]], **kwargs: Any) -> None:
+    """Run :func:`check_estimator` on a registered estimator in the sizes that it is going to have.
+
+    Args:
+        name (str): as registered.
+        sizes (iterable): ``(history_shape, out_features)`` of each use.
+        **kwargs: passed to the factory.
+
+    Raises:
+        UnknownNameError: if there is none of that name.
+        EstimatorError: naming the estimator and the property that fails.
+
+    Examples:
+        >>> check_registered("mlp", [((10, 46), 16), ((10, 49), 16)])
+    """
+    factory = get_estimator(name)
+    for history_shape, out_features in sizes:
+        try:
+            check_estimator(factory, history_shape, out_features, **kwargs)
+        except EstimatorError as error:
+            raise EstimatorError(f"estimator {name!r} cannot be trained. {error}") from error
+
+
+def _check_all(net: nn.Module, twin: nn.Module, history_shape: tuple[int, int], out_features: int) -> None:
+    lazy = [name for name, parameter in net.named_parameters() if is_lazy(parameter)]
+    _require(not lazy, "module", f"{', '.join(lazy[:2])} has no shape until it is used; give all sizes in the factory.")
+    net.eval()
+    twin.eval()
+    _check_outputs(net, history_shape, out_features)
+    history = torch.randn(6, *history_shape)
+    _check_behaviour(net, history)
+    _check_gradients(net, history)
+    _check_training(net, history)
+    _check_state_dict(net, twin, history)
+    _check_copy(net, history)
+
+
+def _failure(name: str, remedy: str) -> EstimatorError:
+    return EstimatorError(f"Estimator check {name!r} failed: {remedy}")
 
 
 def _require(condition: bool, name: str, remedy: str) -> None:
@@ -73,8 +111,8 @@ def _check_outputs(net: nn.Module, history_shape: tuple[int, int], out_features:
         except Exception as error:
             raise _failure(
                 "leading dimensions",
-                f"a history of shape {tuple(history.shape)} raised {type(error).__name__}: {error}. Accept any number "
-                "of leading dimensions (flatten them, restore them on the output).",
+                f"a history of shape {tuple(history.shape)} raised {type(error).__name__}: {first_line(error)}. Accept "
+                "any number of leading dimensions (flatten them, restore them on the output).",
             ) from error
         _require(isinstance(out, Tensor), "output", f"forward returned a {type(out).__name__}; return one Tensor.")
         expected = (*batch, out_features)
@@ -135,6 +173,32 @@ def _check_gradients(net: nn.Module, history: Tensor) -> None:
     net.zero_grad()
 
 
+def _check_training(net: nn.Module, history: Tensor) -> None:
+    """Two steps in training mode on the same batch with the same random numbers; then what was there is put back."""
+    before = {name: value.detach().clone() for name, value in net.state_dict().items() if isinstance(value, Tensor)}
+    net.train()
+    outputs = []
+    for _ in range(2):
+        torch.manual_seed(1)
+        outputs.append(net(history))
+        try:
+            outputs[-1].square().sum().backward()
+        except RuntimeError as error:
+            raise _failure(
+                "training",
+                f"the backward pass of step {len(outputs)} raised {type(error).__name__}: {first_line(error)}. Keep no "
+                "state between calls, and modify nothing in place that a gradient needs.",
+            ) from error
+    _require(
+        torch.allclose(outputs[0], outputs[1], rtol=1e-4, atol=1e-5),
+        "training",
+        "two calls in training mode with the same input and random seed differ; keep no state between calls.",
+    )
+    net.zero_grad()
+    net.load_state_dict(before, strict=False)  # running statistics have moved
+    net.eval()
+
+
 def _check_state_dict(net: nn.Module, twin: nn.Module, history: Tensor) -> None:
     twin.load_state_dict(net.state_dict())
     _require(
@@ -151,8 +215,8 @@ def _check_copy(net: nn.Module, history: Tensor) -> None:
     except Exception as error:
         raise _failure(
             "copy",
-            f"copy.deepcopy raised {type(error).__name__}: {error}. Keep nothing that cannot be copied, such as "
-            "outputs of an earlier call with their graph.",
+            f"copy.deepcopy raised {type(error).__name__}: {first_line(error)}. Keep nothing that cannot be "
+            "copied, such as outputs of an earlier call with their graph.",
         ) from error
     with torch.no_grad():
         for parameter in copied.parameters():

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 from torchrl.modules import GRU, MLP
 
+from torchrl_atr._errors import UserError, first_line
 from torchrl_atr._registry import Registry
 from torchrl_atr.modules.normalization import RunningNormalizer
 
@@ -72,6 +73,38 @@ def get_estimator(name: str) -> EstimatorFactory:
         'CNNGRUEstimator'
     """
     return _ESTIMATORS.get(name)
+
+
+class EstimatorError(UserError, AssertionError):
+    """An estimator that cannot be built or does not keep the contract; the message says what to do about it."""
+
+
+def build_estimator(factory: EstimatorFactory, **arguments: Any) -> nn.Module:
+    """Call a factory, and say what is wrong if that fails.
+
+    Args:
+        factory (callable): see :func:`register_estimator`.
+        **arguments: ``history_shape``, ``out_features`` and what else it takes.
+
+    Raises:
+        EstimatorError: if the factory raises an error, or returns no module.
+
+    Examples:
+        >>> build_estimator(get_estimator("mlp"), history_shape=(4, 5), out_features=3).history_shape
+        (4, 5)
+    """
+    try:
+        net = factory(**arguments)
+    except Exception as error:  # of the user's own code
+        raise EstimatorError(
+            f"Estimator check 'build' failed: the factory raised {type(error).__name__}: {first_line(error)}. It is "
+            f"called with {', '.join(f'{name}={value!r}' for name, value in arguments.items())}."
+        ) from error
+    if not isinstance(net, nn.Module):
+        raise EstimatorError(
+            f"Estimator check 'module' failed: the factory returned a {type(net).__name__}; return an nn.Module."
+        )
+    return net
 
 
 def available_estimators() -> tuple[str, ...]:

@@ -13,14 +13,14 @@ from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
-from torchrl_atr._registry import nearest
 from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.encoder import IntrinsicEncoder
-from torchrl_atr.modules.estimators import NormalizedEstimator, get_estimator
+from torchrl_atr.modules.estimators import NormalizedEstimator, build_estimator, get_estimator
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
+from torchrl_atr.modules.sizes import entry_shape, estimator_sizes
 
 
 class RidingNetworks(nn.Module):
@@ -115,7 +115,12 @@ class RidingNetworks(nn.Module):
         return self._actor(source, self.encoder_module, *estimators, assign)
 
     def deployed_policy(self) -> ProbabilisticActor:
-        """Return the policy of the real robot: it reads history, observation and odometry, nothing privileged."""
+        """Return the policy of the real robot: it reads history, observation and odometry, nothing privileged.
+
+        It shares the networks and their mode: call ``eval()`` on networks that were trained with dropout or batch
+        statistics before they are deployed. Those of :func:`torchrl_atr.training.load_run` and
+        ``Learner.deployed`` are in eval mode.
+        """
         return self.rollout_policy("estimated")
 
     def update_normalizers(self, tensordict: TensorDictBase) -> None:
@@ -157,7 +162,7 @@ class RidingNetworks(nn.Module):
             act_intrinsic=keys.act_intrinsic,
             act_extrinsic=keys.act_extrinsic,
         )
-        return make_actor(
+        actor = make_actor(
             self.backbone,
             *front,
             act_source,
@@ -166,6 +171,7 @@ class RidingNetworks(nn.Module):
             act_extrinsic=keys.act_extrinsic,
             action=keys.action,
         )
+        return actor if self.training else actor.eval()
 
 
 def make_networks(
@@ -213,7 +219,8 @@ def make_networks(
 
     Raises:
         KeyError: if a spec or the reflections lack an entry. ValueError: if the history does not match the
-            observation, the estimator is unknown, or a reflection is none.
+            observation, the estimator is unknown, or a reflection is none. EstimatorError: if the estimator's
+            factory fails.
 
     Examples:
         >>> from torchrl.data import Composite, Unbounded
@@ -227,36 +234,36 @@ def make_networks(
         ['history', 'observation']
     """
     keys = keys or NetworkKeys()
-    (obs,) = _shape(observation_spec, keys.observation, 1)
-    history_shape = _shape(observation_spec, keys.history, 2)
-    (intrinsic,) = _shape(observation_spec, keys.intrinsic, 1)
-    (extrinsic,) = _shape(observation_spec, keys.extrinsic, 1)
-    (actions,) = _shape(action_spec, keys.action, 1)
+    (obs,) = entry_shape(observation_spec, keys.observation, 1)
+    history_shape = entry_shape(observation_spec, keys.history, 2)
+    (intrinsic,) = entry_shape(observation_spec, keys.intrinsic, 1)
+    (extrinsic,) = entry_shape(observation_spec, keys.extrinsic, 1)
+    (actions,) = entry_shape(action_spec, keys.action, 1)
     if history_shape[1] != obs:
         raise ValueError(
             f"{keys.history!r} must end with (H, {obs}), as {keys.observation!r} has {obs} components; got "
             f"{history_shape}. The history stacks past observations, oldest first."
         )
-    factory, options = get_estimator(estimator), dict(estimator_kwargs or {})
+    make_estimator = partial(build_estimator, get_estimator(estimator), **dict(estimator_kwargs or {}))
+    sizes = estimator_sizes(observation_spec, latent_features, keys)
     mirror = partial(_reflection, reflections)
     obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
     ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
     odometry_norm, outlook_norm = (
-        RunningNormalizer(_shape(observation_spec, key, 1), reflection=mirror(key))
+        RunningNormalizer(entry_shape(observation_spec, key, 1), reflection=mirror(key))
         if key is not None and key in observation_spec.keys(True, True)
         else None
         for key in (keys.odometry, keys.outlook)
     )
-    side = 0 if odometry_norm is None else odometry_norm.shape.numel()
     return RidingNetworks(
         obs_norm=obs_norm,
         ext_norm=ext_norm,
         encoder=IntrinsicEncoder(intrinsic, latent_features, reflection=mirror(keys.intrinsic)),
         intrinsic_estimator=NormalizedEstimator(
-            factory(history_shape=history_shape, out_features=latent_features, **options), obs_norm
+            make_estimator(history_shape=sizes["intrinsic"][0], out_features=sizes["intrinsic"][1]), obs_norm
         ),
         extrinsic_estimator=NormalizedEstimator(
-            factory(history_shape=(history_shape[0], obs + side), out_features=extrinsic, **options),
+            make_estimator(history_shape=sizes["extrinsic"][0], out_features=sizes["extrinsic"][1]),
             obs_norm,
             ext_norm,
             odometry_norm,
@@ -289,19 +296,3 @@ def _reflection(reflections: Mapping[NestedKey, Tensor] | None, key: NestedKey) 
     if key not in reflections:
         raise KeyError(f"reflections lack {key!r}; they have {list(reflections)}, and symmetric networks need it too")
     return reflections[key]
-
-
-def _shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
-    """Return the last ``ndim`` sizes of ``spec[key]`` (of ``spec`` itself if it is a leaf)."""
-    if isinstance(spec, Composite):
-        if key not in spec.keys(True, True):
-            entries = f"it has {', '.join(map(str, spec.keys()))}."
-            similar = nearest(str(key), map(str, spec.keys(True, True)), otherwise=entries)
-            raise KeyError(
-                f"The spec has no entry {key!r}; {similar} Add the transform that writes it, or pass "
-                "keys=NetworkKeys(...) with the env's own names."
-            )
-        spec = spec[key]
-    if len(spec.shape) < ndim:
-        raise ValueError(f"The spec of {key!r} needs at least {ndim} dimension(s), got {tuple(spec.shape)}.")
-    return tuple(spec.shape[-ndim:])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,14 @@ from torchrl.envs import TransformedEnv
 from torchrl_atr._compilation import compile_methods
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs import make_riding_env
+from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
+from torchrl_atr.modules import EstimatorError, NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
+from torchrl_atr.modules.checks import check_registered
+from torchrl_atr.modules.sizes import estimator_sizes
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.restoring import deployed_weights, load_networks, run_config
+from torchrl_atr.training.restoring import check_model, deployed_weights, load_networks, run_config
 
 TOGETHER = 10
 """Time limits are looked at in every so many steps, a divisor of the default recipe's 250."""
@@ -69,6 +73,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
 
     Raises:
         UnknownNameError: for an unregistered estimator.
+        EstimatorError: if it cannot be built.
     """
     basis = leg_synergies()
     alike, joints = len(basis) // 4, len(basis)
@@ -84,8 +89,22 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         noise_basis=basis,
         products=[(size - 2, size - 1)] if config.steering_cue else [],
         reflections=env.base_env.reflections if config.symmetric else None,
-        keys=NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None),
+        keys=_keys(config),
     )
+
+
+def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
+    """Check a configuration's estimator in the sizes that the run has, in a fraction of a second.
+
+    Raises:
+        UnknownNameError: for an unregistered estimator.
+        EstimatorError: if it cannot be trained or deployed; names it and the property that fails.
+    """
+    check_registered(config.estimator, estimator_sizes(env.observation_spec, keys=_keys(config)).values())
+
+
+def _keys(config: TrainConfig) -> NetworkKeys:
+    return NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None)
 
 
 def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
@@ -97,27 +116,34 @@ def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequ
 
 
 def load_run(
-    run: str | Path, checkpoint: str | None = None, **env_overrides: Any
+    run: str | Path, checkpoint: str | None = None, imports: Sequence[str] = (), **env_overrides: Any
 ) -> tuple[TrainConfig, TransformedEnv, RidingNetworks, dict[str, Any]]:
-    """Config, env, networks as they are deployed, and the whole checkpoint of a run folder.
+    """Config, env, networks as they are deployed, in eval mode, and the whole checkpoint of a run folder.
 
     Args:
         run: the folder.
         checkpoint: a file in it, such as ``best.pt``; None for the last one.
-        **env_overrides: see :func:`make_env`.
+        imports: modules to import besides those that the run remembers; with some, the latter may be missing.
+        **env_overrides: see :func:`make_env`; a ``robot`` or ``transporter`` is taken in the place of the run's own.
 
     Raises:
-        CheckpointError: if there is no readable checkpoint, or it does not fit this code.
+        CheckpointError: if there is no readable checkpoint, it does not fit this code, or robot or transporter are not
+            those that the run was trained with.
     """
     run = Path(run)
     if checkpoint is not None and not (run / checkpoint).is_file():
         raise CheckpointError(f"{run} has no {checkpoint}; train for longer, or take the last checkpoint")
     state = load_checkpoint(run if checkpoint is None else run / checkpoint)
-    config = run_config(state, run, device="cpu")  # wherever it was trained
+    config = run_config(state, run, imports, device="cpu")  # wherever it was trained
     env = make_env(config, **{**_TO_LOOK_AT, **env_overrides})
+    replaced = [part for part in PARTS if part in env_overrides]
     own = env
-    if "transporter" in env_overrides:  # networks keep the symmetry of what they were trained on, wherever they ride
+    if replaced:  # networks keep the symmetry of what they were trained on, wherever they ride
         own = make_env(config, num_envs=1, **_TO_LOOK_AT)
-    networks = make_run_networks(config, own)
+    check_model(state, own.base_env.scene, run, replaced)
+    try:
+        networks = make_run_networks(config, own)
+    except EstimatorError as error:
+        raise CheckpointError(f"the estimator {config.estimator!r} of {run} does not work here: {error}") from error
     load_networks(networks, deployed_weights(state["learner"]), run)
-    return config, env, networks, state
+    return config, env, networks.eval(), state

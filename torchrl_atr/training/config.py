@@ -15,7 +15,7 @@ from torchrl_atr._cpus import available_cpus
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models import get_robot, get_transporter
-from torchrl_atr.envs.models.robot_file import is_robot_file
+from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
 from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.envs.task.state import CONTROL_DT
@@ -38,9 +38,9 @@ class TrainConfig:
     """Everything a run depends on besides the code.
 
     Attributes:
-        robot: name from the registry, or path of a ``.toml`` file that describes one (kept as an absolute path).
-        transporter: ``single_board`` or ``two_board`` in the robot's size, another registered name, or path of a
-            ``.toml`` file that describes one (kept as an absolute path).
+        robot: name from the registry, or path of a ``.toml`` file that describes one (kept as an absolute path; a run
+            copies the file and all that it needs, and stores the copy's path in the run folder).
+        transporter: ``single_board`` or ``two_board`` in the robot's size, another registered name, or likewise a file.
         profile: name from the registry.
         estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
         imports: modules imported first, so that they can register estimators, robots and transporters of their own.
@@ -184,10 +184,9 @@ class TrainConfig:
         if self.symmetric and any(cells % 2 for cells in self.critic_cells):
             raise ConfigError(f"critic_cells={self.critic_cells} must be even, half for each side; or symmetric=false")
         get_transporter(self.transporter, get_robot(self.robot))
-        if is_robot_file(self.robot):  # the run must find it from wherever it is evaluated
-            object.__setattr__(self, "robot", str(Path(self.robot).resolve()))
-        if is_spec_file(self.transporter):
-            object.__setattr__(self, "transporter", str(Path(self.transporter).resolve()))
+        for name in COPIES:
+            if is_spec_file(value := getattr(self, name)):  # workers must find it from wherever they run
+                object.__setattr__(self, name, str(Path(value).resolve()))
         PROFILES.get(self.profile)
         if self.act_source not in SOURCES:
             raise ConfigError(f"act_source={self.act_source!r} is unknown; choose one of {', '.join(SOURCES)}")

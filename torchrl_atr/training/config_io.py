@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from torchrl_atr._registry import nearest
+from torchrl_atr.envs.models.files import COPIES
+from torchrl_atr.envs.models.spec_file import is_spec_file
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.recipes import recipe_of
 
@@ -51,6 +53,8 @@ def _unknown(name: str, value: Any, known: Iterable[str]) -> str:
 def read_config(path: str | Path) -> dict[str, Any]:
     """Field values from a ``.toml`` or ``.json`` file.
 
+    A robot's file is looked up in its folder, as in a run's ``config.json``, else in the working directory.
+
     Raises:
         ConfigError: if it is missing, of another kind, or malformed.
     """
@@ -66,7 +70,8 @@ def read_config(path: str | Path) -> dict[str, Any]:
         raise ConfigError(f"{path} is not valid {path.suffix[1:].upper()}: {error}; correct it there") from error
     if not isinstance(values, dict):
         raise ConfigError(f'{path} holds a {type(values).__name__}; write settings in it, such as {{"gamma": 0.99}}')
-    return values
+    files = {name: path.parent / values[name] for name in COPIES if is_spec_file(values.get(name))}
+    return values | {name: str(file) for name, file in files.items() if file.is_file()}
 
 
 _KINDS = {

@@ -39,6 +39,7 @@ class Learner:
     def __init__(self, networks: RidingNetworks, config: TrainConfig) -> None:
         self.networks, self.config = networks, config
         self._averaged = AveragedModel(networks, multi_avg_fn=self._average)
+        self._averaged.eval()  # it is never trained
         self.loss = ROAClipPPOLoss(
             networks.training_actor(config.act_source),
             networks.critic_module,
@@ -96,7 +97,10 @@ class Learner:
 
     @property
     def deployed(self) -> RidingNetworks:
-        """Networks with the running mean of the weights, which follows a batch's noise less than optimiser steps do."""
+        """Networks with the running mean of the weights, which follows a batch's noise less than optimiser steps do.
+
+        They are in eval mode.
+        """
         return cast(RidingNetworks, self._averaged.module)
 
     def _average(self, averaged: Any, current: Any, iterations: Tensor | int) -> None:

@@ -13,17 +13,25 @@ import torch
 
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.run_files import stored_settings
 
 _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 
 
 def provenance(
-    config: TrainConfig, frames: int, seconds: float, start: Mapping[str, Any] | None = None
+    config: TrainConfig,
+    run: Path,
+    model: str,
+    frames: int,
+    seconds: float,
+    start: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """What ``run.json`` holds.
 
     Args:
         config: of the run.
+        run: its folder, which paths in the command are relative to.
+        model: fingerprint of its robot on its transporter.
         frames: robot steps so far.
         seconds: of training so far, wall clock.
         start: of a run that began from another one: that one's ``run`` (its folder), ``config`` and ``provenance``,
@@ -31,8 +39,9 @@ def provenance(
     """
     origin = {} if start is None else {"from": {"run": start["run"], **start["provenance"]}}
     return {
-        "command": command_line(config, start),
+        "command": command_line(stored_settings(config, run), start),
         "seed": config.seed,
+        "model": model,
         "frames": frames,
         "minutes": round(seconds / 60, 2),
         **machine(config.device),
@@ -69,23 +78,27 @@ def cores(hardware: dict[str, Any]) -> str:
     return f"{where}, {hardware['accelerator']}" if "accelerator" in hardware else where
 
 
-def command_line(config: TrainConfig, start: Mapping[str, Any] | None = None) -> str:
+def command_line(settings: Mapping[str, Any], start: Mapping[str, Any] | None = None) -> str:
     """The command that starts such a run: what differs from the defaults, or from the run that it began from.
 
+    Args:
+        settings: of the run, all of them, as plain JSON values.
+        start: ``run`` and ``config`` of the run that it began from.
+
     Example:
-        >>> command_line(TrainConfig(gamma=0.9))
+        >>> command_line(TrainConfig(gamma=0.9).to_dict())
         'torchrl-atr train --robot a1 --transporter single_board --seed 0 --set gamma=0.9'
-        >>> command_line(TrainConfig(gamma=0.9, seed=1), {"run": "runs/ride", "config": {"gamma": 0.8}})
+        >>> command_line(TrainConfig(gamma=0.9, seed=1).to_dict(), {"run": "runs/ride", "config": {"gamma": 0.8}})
         'torchrl-atr train --from runs/ride --seed 1 --set gamma=0.9'
     """
     defaults = TrainConfig().to_dict()
     if start is None:
-        named = {name: getattr(config, name) for name in ("robot", "transporter", "seed")}
+        named = {name: settings[name] for name in ("robot", "transporter", "seed")}
     else:
-        named = {"from": start["run"], "seed": config.seed}
+        named = {"from": start["run"], "seed": settings["seed"]}
         defaults |= start["config"]
     parts = [f"--{name} {shlex.quote(str(value))}" for name, value in named.items()]
-    for name, value in config.to_dict().items():
+    for name, value in settings.items():
         if name not in named and value != defaults[name]:
             text = ",".join(map(str, value)) if isinstance(value, list) else value
             parts.append(f"--set {shlex.quote(f'{name}={text}')}")

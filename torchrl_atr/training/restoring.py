@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from torchrl_atr._errors import UserError
+from torchrl_atr._errors import InputError, UserError, first_line
+from torchrl_atr._registry import import_modules
+from torchrl_atr.envs.models import Scene
+from torchrl_atr.envs.models.identity import PARTS, describe, differences, first_few
 from torchrl_atr.training.checkpoint import CheckpointError
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.config_io import make_config
+from torchrl_atr.training.run_files import located_settings
 
 _PARTS = (
     ("config",),
@@ -45,22 +49,79 @@ def check_parts(state: Mapping[str, Any], run: Path) -> None:
             part = part[name]
 
 
-def run_config(state: Mapping[str, Any], run: Path, **changed: Any) -> TrainConfig:
+def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the settings of a checkpoint, after importing the modules that they rely on.
+
+    Args:
+        state: from :func:`~torchrl_atr.training.load_checkpoint`.
+        run: its folder, or the file in it, which the run's own robot files are looked up in.
+        imports: modules to import first; with some, those that the run remembers may be missing.
+
+    Raises:
+        CheckpointError: if a part is missing, or a module.
+    """
+    check_parts(state, run)
+    settings = located_settings(state["config"], run.parent if run.is_file() else run)
+    imported = list(imports)
+    try:
+        import_modules(imports)
+        for name in settings.get("imports", ()):
+            try:
+                import_modules([name], "run where it can be found, or name what registers the same with --import")
+                imported.append(name)
+            except InputError:
+                if not imports:
+                    raise
+    except InputError as error:
+        raise CheckpointError(f"the settings of {run} do not work here: {error}") from error
+    return {**settings, "imports": list(dict.fromkeys(imported))}
+
+
+def run_config(state: Mapping[str, Any], run: Path, imports: Sequence[str] = (), **changed: Any) -> TrainConfig:
     """The settings of a checkpoint, some of them changed.
 
     Args:
         state: from :func:`~torchrl_atr.training.load_checkpoint`.
-        run: where it is from, for messages.
+        run: its folder, or the file in it.
+        imports: see :func:`saved_settings`.
         **changed: settings to replace.
 
     Raises:
         CheckpointError: if a part is missing, or a setting does not work with this code or on this machine.
     """
-    check_parts(state, run)
+    settings = saved_settings(state, run, imports)
     try:
-        return make_config({**state["config"], **changed})
+        return make_config({**settings, **changed})
     except UserError as error:
         raise CheckpointError(f"the settings of {run} do not work here: {error}") from error
+
+
+def check_model(state: Mapping[str, Any], scene: Scene, run: Path, replaced: Collection[str] = ()) -> None:
+    """Check that robot and transporter are those that a run was trained with.
+
+    Args:
+        state: from :func:`~torchrl_atr.training.load_checkpoint`; one from before models were recorded passes.
+        scene: what the run's settings mean here.
+        run: where it is from, for messages.
+        replaced: ``"robot"`` or ``"transporter"`` if that is another one on purpose.
+
+    Raises:
+        CheckpointError: if they differ; says in what.
+    """
+    if "model" not in state:
+        return
+    here = describe(scene)
+    changed = {part: differences(state["model"], here, [part]) for part in PARTS if part not in replaced}
+    names = {"robot": scene.robot.name, "transporter": scene.transporter.name}
+    which = [part for part, texts in changed.items() if texts]
+    if which:
+        texts = first_few([text for part in which for text in changed[part]])
+        culprits = " and ".join(f"{part} {names[part]!r}" for part in which)
+        options = " ".join(f"--{part} NAME" for part in which)
+        raise CheckpointError(
+            f"{run} was trained with another {culprits} than there is here ({texts}); bring back what it was trained "
+            f"with, or name what is to take its place with {options} of evaluate, play or train --from {run}"
+        )
 
 
 def deployed_weights(learner: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -91,7 +152,13 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
     for name, value in weights.items():
         if isinstance(value, Tensor) and not torch.isfinite(value).all():
             raise CheckpointError(f"the networks in {run} hold a NaN or infinity in {name}; use an earlier checkpoint")
-    networks.load_state_dict(dict(weights))
+    try:
+        networks.load_state_dict(dict(weights))
+    except Exception as error:  # what an estimator's own set_extra_state or hooks may raise
+        raise CheckpointError(
+            f"the networks in {run} do not fit these settings ({type(error).__name__}: {first_line(error)}); use the "
+            "code, the settings and the estimator that trained them"
+        ) from error
 
 
 def check_moments(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any], name: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,9 @@ from typing import Any
 import torch
 
 from torchrl_atr._files import say, sweep, write_json
+from torchrl_atr.envs.models.identity import PARTS, describe, digest
 from torchrl_atr.modules import RidingNetworks, get_estimator
-from torchrl_atr.training.assembly import make_run_networks
+from torchrl_atr.training.assembly import check_run_estimator, make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import CollectionError
 from torchrl_atr.training.config import ConfigError, TrainConfig
@@ -22,7 +23,8 @@ from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.member import DUMPS, Member, assist, env_maker, make_member, torch_threads
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
-from torchrl_atr.training.restoring import check_parts, deployed_weights, load_networks
+from torchrl_atr.training.restoring import check_model, check_parts, deployed_weights, load_networks
+from torchrl_atr.training.run_files import keep_files, located_settings, stored_settings
 from torchrl_atr.training.team import Team
 
 _MEMORY = 0.05
@@ -39,13 +41,19 @@ class Trainer:
             and no time limit, the run goes on bit for bit as if it had not stopped.
         start: folder of another run, with whose deployed networks, optimisers' moments and command grid a new one
             begins, at its policy's learning rate if that is lower; all else is new.
+        replaced: ``"robot"`` or ``"transporter"`` if another one than that run's may be meant by the same name.
+
+    A robot that is given by a file is copied into the folder with all that it reads, and the copy is what is trained.
 
     Attributes:
+        config: the recipe, with the folder's own copies of the files that it names.
         threads: of torch.
 
     Raises:
-        CheckpointError: if the networks of either do not fit the settings.
+        CheckpointError: if the networks of either do not fit the settings, or it was trained with another robot or
+            transporter than there is here.
         ConfigError: if ``start`` is ``run`` itself.
+        EstimatorError: if the estimator cannot be trained.
     """
 
     def __init__(
@@ -54,24 +62,36 @@ class Trainer:
         run: str | Path,
         state: dict[str, Any] | None = None,
         start: str | Path | None = None,
+        replaced: Collection[str] = (),
     ) -> None:
-        self.config, self.run = config, (run := Path(run))
+        self.run = run = Path(run)
         get_estimator(config.estimator)
         other = None if start is None else _read_other(Path(start), run)
         torch.manual_seed(config.seed)
         share = config.share(0)
         self.threads = torch_threads(config)
         self.env = env_maker(share, run)()
-        self.curriculum = self.env.transform[0]
+        scene = self.env.base_env.scene
+        check_run_estimator(share, self.env)
         networks = make_run_networks(share, self.env)
         if state is not None:
+            check_model(state, scene, run)
             load_networks(networks, state["learner"]["networks"], run)
         elif other is not None:
+            check_model(other, scene, Path(other["run"]), {*replaced, *_other_parts(config, other)})
             load_networks(networks, deployed_weights(other["learner"]), Path(other["run"]))
+        self._model = describe(scene)
         run.mkdir(parents=True, exist_ok=True)  # not before: what is refused has written and removed nothing
         sweep(run)
+        self.config = keep_files(config, run, fresh=state is None)
         if state is None:
             _clear(run)
+        if self.config != config:  # what the folder holds is what is trained
+            self.env.close()
+            share = self.config.share(0)
+            self.env = env_maker(share, run)()
+            check_model({"model": self._model}, self.env.base_env.scene, run)
+        self.curriculum = self.env.transform[0]
         if state is None and other is None:
             with self.threads:  # compiled steps are for that many
                 self._acquaint(networks)
@@ -99,7 +119,7 @@ class Trainer:
         Returns:
             The signal that ended it early, or None.
         """
-        write_json(self.run / "config.json", self.config.to_dict())
+        write_json(self.run / "config.json", stored_settings(self.config, self.run))
         with Interrupt() as interrupt, self.threads:
             try:
                 _ = self.member  # other processes take a while: not part of the first iteration's time
@@ -198,7 +218,7 @@ class Trainer:
 
     def save(self) -> None:
         """Writes the checkpoint (config, learner, curriculum, collection, counters) and where it comes from."""
-        origin = provenance(self.config, self.frames, self.seconds, self._start)
+        origin = provenance(self.config, self.run, digest(self._model), self.frames, self.seconds, self._start)
         write_json(self.run / "run.json", origin)
         if "member" in vars(self):
             self._carried = self.member.lead("state")
@@ -208,7 +228,8 @@ class Trainer:
         save_checkpoint(
             self.run / NAME,
             {
-                "config": self.config.to_dict(),
+                "config": stored_settings(self.config, self.run),
+                "model": self._model,
                 "start": self._start,
                 "learner": self.learner.state_dict(),
                 "curriculum": {"weights": self.curriculum.weights, **self.curriculum.get_extra_state()},
@@ -255,6 +276,12 @@ def _read_other(start: Path, run: Path) -> dict[str, Any]:
     state = load_checkpoint(start)
     check_parts(state, start)
     return {"run": str(start), **state}
+
+
+def _other_parts(config: TrainConfig, other: dict[str, Any]) -> set[str]:
+    """Robot or transporter, if the settings name another one than those of the run that a new one begins from."""
+    theirs = located_settings(other["config"], Path(other["run"]))
+    return {part for part in PARTS if getattr(config, part) != theirs.get(part)}
 
 
 def _clear(run: Path) -> None:

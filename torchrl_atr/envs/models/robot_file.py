@@ -25,12 +25,7 @@ def get_robot(robot: str | Path | RobotSpec) -> RobotSpec:
     """
     if isinstance(robot, RobotSpec):
         return robot
-    return read_robot(robot) if is_robot_file(robot) else ROBOTS.get(str(robot))
-
-
-def is_robot_file(robot: str | Path) -> bool:
-    """Whether a robot is given by a file rather than by name."""
-    return is_spec_file(robot)
+    return read_robot(robot) if is_spec_file(robot) else ROBOTS.get(str(robot))
 
 
 def read_robot(path: str | Path) -> RobotSpec:

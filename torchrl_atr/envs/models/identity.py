@@ -1,0 +1,236 @@
+"""What a scene is made of, as plain values: two can be compared, and what differs is named."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from torchrl_atr.envs.models.decks import PLANAR_JOINTS
+from torchrl_atr.envs.models.scene import Scene
+
+PARTS = ("robot", "transporter")
+"""Parts of a description, each of which can be replaced alone."""
+Description = dict[str, dict[str, dict[str, Any]]]
+"""By part, by element (``"body FL_thigh"``), by field."""
+_KINDS = ("body", "jnt", "geom", "actuator", "eq", "tendon")
+_INTEGERS = {
+    *("jnt_type", "jnt_limited", "jnt_actfrclimited", "jnt_actgravcomp"),
+    *("geom_type", "geom_contype", "geom_conaffinity", "geom_condim", "geom_priority"),
+    *("actuator_gaintype", "actuator_biastype", "actuator_dyntype", "actuator_forcelimited", "actuator_ctrllimited"),
+    *("eq_type", "eq_active0", "tendon_limited"),
+}
+"""Those that are not addresses of something else."""
+_DERIVED = {
+    *("body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0", "dof_length"),
+    *("actuator_acc0", "actuator_length0", "actuator_lengthrange", "tendon_invweight0", "tendon_length0"),
+    *("geom_rgba", "tendon_rgba", "tendon_width"),
+}
+"""What MuJoCo computes from the rest, each version in its own way, and what is only looked at."""
+_TOLERANCE = 1e-6
+"""Relative: MuJoCo's versions round differently."""
+
+
+def describe(scene: Scene) -> Description:
+    """Describe what decides how a robot on a transporter moves: its specs, and the compiled model's physics.
+
+    Colours, textures, cameras, lights, geoms that touch nothing, and where the files lie are left out.
+
+    Args:
+        scene: a compiled scene.
+
+    Returns:
+        Nested dicts of numbers, texts and lists, the same for the same model wherever it was compiled.
+
+    Example:
+        >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
+        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
+        >>> describe(scene)["robot"]["body FL_thigh"]["body_mass"]
+        1.013
+    """
+    description: Description = {
+        "robot": {"spec": _facts(scene.robot, "name", "mjcf"), "option": _options(scene.model)},
+        "transporter": {"spec": _facts(scene.transporter, "name")},
+    }
+    for part, element, fields in _elements(scene):
+        description[part][element] = fields
+    return description
+
+
+def digest(description: Description) -> str:
+    """Return a fingerprint of a description, 64 hexadecimal digits; numbers count to six digits."""
+    return hashlib.sha256(json.dumps(_rounded(description), sort_keys=True).encode()).hexdigest()
+
+
+def differences(then: Mapping[str, Any], now: Mapping[str, Any], parts: Collection[str] = PARTS) -> list[str]:
+    """Name what differs between two descriptions.
+
+    Fields that only one of them knows are left out: MuJoCo and this package gain some.
+
+    Args:
+        then: of a run.
+        now: of what there is here.
+        parts: which parts to compare.
+
+    Returns:
+        Texts such as ``"body_mass of body FL_thigh: 1.013 then, 2 now"``; none if they are the same.
+
+    Example:
+        >>> then, now = ({"robot": {"spec": {"kp": kp, "kd": 1.0}}} for kp in (40.0, 60.0))
+        >>> differences(then, now)
+        ["the robot's kp: 40 then, 60 now"]
+    """
+    found: list[str] = []
+    for part in parts:
+        before, after = then.get(part, {}), now.get(part, {})
+        for element in {**before, **after}:
+            if element not in after:
+                found.append(f"{element} is gone")
+            elif element not in before:
+                found.append(f"{element} is new")
+            else:
+                for field, value in before[element].items():
+                    if field in after[element] and not _same(value, after[element][field]):
+                        name = f"the {part}'s {field}" if element == "spec" else f"{field} of {element}"
+                        found.append(f"{name}: {_changed(value, after[element][field])}")
+    return found
+
+
+def first_few(changed: Sequence[str], count: int = 2) -> str:
+    """Join the first of :func:`differences` to a line.
+
+    Example:
+        >>> first_few(["body_mass of body hip: 1 then, 2 now", "body tail is new", "body ear is new"])
+        'body_mass of body hip: 1 then, 2 now; body tail is new; and 1 more'
+    """
+    more = [f"and {len(changed) - count} more"] if len(changed) > count else []
+    return "; ".join([*changed[:count], *more])
+
+
+def _facts(spec: Any, *names: str) -> dict[str, Any]:
+    """The fields of a robot's or a transporter's spec but for those called ``names``."""
+    return {name: value for name, value in _plain(dataclasses.asdict(spec)).items() if name not in names}
+
+
+def _options(model: mujoco.MjModel) -> dict[str, Any]:
+    return {name: _plain(getattr(model.opt, name)) for name in dir(model.opt) if not name.startswith("_")}
+
+
+def _elements(scene: Scene) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Part, label and fields of all that moves or is moved; the floor and the planar joints are the scene's own."""
+    model = scene.model
+    boards = {i for i in range(model.nbody) if _descends(model, i, scene.layout.platform_body)}
+    labels: dict[str, int] = {}
+    for kind in _KINDS:
+        names = [name for name in dir(model) if name.startswith(f"{kind}_") and name not in _DERIVED]
+        arrays = {name: getattr(model, name) for name in names if _compared(name, getattr(model, name))}
+        for i in range({"jnt": model.njnt, "eq": model.neq}.get(kind, getattr(model, f"n{kind}", 0))):
+            body = {"body": i}.get(kind, int(getattr(model, f"{kind}_bodyid")[i]) if kind in ("jnt", "geom") else -1)
+            name = mujoco.mj_id2name(model, _OBJECTS[kind], i) or ""
+            touches = kind != "geom" or model.geom_contype[i] or model.geom_conaffinity[i]
+            if body == 0 or not touches or name in PLANAR_JOINTS:
+                continue
+            fields = {field: _plain(array[i]) for field, array in arrays.items()}
+            fields |= _EXTRAS.get(kind, lambda *_: {})(model, i)
+            label = f"{_NOUNS.get(kind, kind)} {name}" if name else f"{_NOUNS.get(kind, kind)} on {_body(model, body)}"
+            labels[label] = count = labels.get(label, 0) + 1
+            yield "transporter" if body in boards else "robot", label if count == 1 else f"{label} ({count})", fields
+
+
+_NOUNS = {"jnt": "joint", "eq": "constraint"}
+_OBJECTS = {
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "jnt": mujoco.mjtObj.mjOBJ_JOINT,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "eq": mujoco.mjtObj.mjOBJ_EQUALITY,
+    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
+}
+
+
+def _compared(name: str, value: Any) -> bool:
+    if not isinstance(value, np.ndarray) or name.endswith("_user"):
+        return False
+    return value.dtype.kind == "f" or name in _INTEGERS
+
+
+def _body(model: mujoco.MjModel, i: int) -> str:
+    return (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, i) or f"body {i}") if i >= 0 else "the robot"
+
+
+def _descends(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
+    while body not in (0, ancestor):
+        body = int(model.body_parentid[body])
+    return body == ancestor
+
+
+def _body_extras(model: mujoco.MjModel, i: int) -> dict[str, Any]:
+    return {"parent": _body(model, int(model.body_parentid[i]))}
+
+
+def _joint_extras(model: mujoco.MjModel, i: int) -> dict[str, Any]:
+    """Of the joint's degrees of freedom, and where it hangs."""
+    following = int(model.jnt_dofadr[i + 1]) if i + 1 < model.njnt else model.nv
+    dofs = slice(int(model.jnt_dofadr[i]), following)
+    names = [name for name in dir(model) if name.startswith("dof_") and name not in _DERIVED]
+    fields = {name: getattr(model, name) for name in names if _compared(name, getattr(model, name))}
+    own = {name: _plain(array[dofs]) for name, array in fields.items()}
+    return {"parent": _body(model, int(model.jnt_bodyid[i])), **own}
+
+
+def _geom_extras(model: mujoco.MjModel, i: int) -> dict[str, Any]:
+    """Of a mesh how many vertices it has, their mean and their spread."""
+    own: dict[str, Any] = {"parent": _body(model, int(model.geom_bodyid[i]))}
+    if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = model.mesh(int(model.geom_dataid[i]))
+        first = int(mesh.vertadr[0])
+        vertices = np.asarray(model.mesh_vert[first : first + int(mesh.vertnum[0])], dtype=np.float64)
+        own["mesh"] = [float(len(vertices)), *vertices.mean(0).tolist(), *vertices.std(0).tolist()]
+    return own
+
+
+_EXTRAS = {"body": _body_extras, "jnt": _joint_extras, "geom": _geom_extras}
+
+
+def _plain(value: Any) -> Any:
+    """``value`` as JSON could hold it."""
+    if isinstance(value, dict):
+        return {str(name): _plain(entry) for name, entry in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return np.atleast_1d(value).reshape(-1).tolist() if np.ndim(value) else value.item()
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(entry) for entry in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return all(_same(one[name], other[name]) for name in one.keys() & other.keys())
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, int | float) and isinstance(other, int | float):
+        return math.isclose(one, other, rel_tol=_TOLERANCE, abs_tol=1e-9) or (one != one and other != other)
+    return bool(one == other)
+
+
+def _changed(then: Any, now: Any) -> str:
+    """The values that differ, of lists only the first pair."""
+    while isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
+        then, now = next((pair for pair in zip(then, now) if not _same(*pair)), ("", ""))
+    short = [f"{value:.6g}" if isinstance(value, float) else str(value)[:40] for value in (then, now)]
+    return f"{short[0]} then, {short[1]} now"
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _rounded(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [_rounded(entry) for entry in value]
+    return f"{value:.6g}" if isinstance(value, int | float) and not isinstance(value, bool) else value

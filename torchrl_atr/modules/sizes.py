@@ -1,0 +1,71 @@
+"""Sizes of networks, read from an env's specs."""
+
+from __future__ import annotations
+
+from tensordict import NestedKey
+from torchrl.data import Composite, TensorSpec
+
+from torchrl_atr._registry import nearest
+from torchrl_atr.modules.keys import NetworkKeys
+
+
+def entry_shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
+    """Return the last ``ndim`` sizes of ``spec[key]`` (of ``spec`` itself if it is a leaf).
+
+    Args:
+        spec (TensorSpec): of an env.
+        key (NestedKey): of the entry.
+        ndim (int): dimensions of one robot's entry.
+
+    Raises:
+        KeyError: if there is no such entry. ValueError: if it has fewer dimensions.
+
+    Examples:
+        >>> from torchrl.data import Unbounded
+        >>> entry_shape(Composite(history=Unbounded((8, 4, 5))), "history", 2)
+        (4, 5)
+    """
+    if isinstance(spec, Composite):
+        if key not in spec.keys(True, True):
+            entries = f"it has {', '.join(map(str, spec.keys()))}."
+            similar = nearest(str(key), map(str, spec.keys(True, True)), otherwise=entries)
+            raise KeyError(
+                f"The spec has no entry {key!r}; {similar} Add the transform that writes it, or pass "
+                "keys=NetworkKeys(...) with the env's own names."
+            )
+        spec = spec[key]
+    if len(spec.shape) < ndim:
+        raise ValueError(f"The spec of {key!r} needs at least {ndim} dimension(s), got {tuple(spec.shape)}.")
+    return tuple(spec.shape[-ndim:])
+
+
+def estimator_sizes(
+    observation_spec: Composite, latent_features: int = 16, keys: NetworkKeys | None = None
+) -> dict[str, tuple[tuple[int, int], int]]:
+    """Read from an env's specs what the two estimators map: by name, the history's shape and the estimate's size.
+
+    Args:
+        observation_spec (Composite): see :func:`make_networks`.
+        latent_features (int): size of z. Defaults to 16.
+        keys (NetworkKeys, optional): names of the entries, if the env has its own.
+
+    Raises:
+        KeyError: if the spec lacks an entry.
+
+    Examples:
+        >>> from torchrl.data import Composite, Unbounded
+        >>> spec = Composite(
+        ...     observation=Unbounded((5,)),
+        ...     history=Unbounded((4, 5)),
+        ...     privileged=Composite(extrinsic=Unbounded((3,))),
+        ... )
+        >>> estimator_sizes(spec)
+        {'intrinsic': ((4, 5), 16), 'extrinsic': ((4, 5), 3)}
+    """
+    keys = keys or NetworkKeys()
+    length, features = entry_shape(observation_spec, keys.history, 2)
+    (extrinsic,) = entry_shape(observation_spec, keys.extrinsic, 1)
+    side = 0
+    if keys.odometry is not None and keys.odometry in observation_spec.keys(True, True):
+        (side,) = entry_shape(observation_spec, keys.odometry, 1)
+    return {"intrinsic": ((length, features), latent_features), "extrinsic": ((length, features + side), extrinsic)}

@@ -1,0 +1,76 @@
+"""What a run folder holds of the files that its settings name, so that it can be moved and outlives them."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torchrl_atr._files import naming
+from torchrl_atr.envs.models.files import COPIES
+from torchrl_atr.envs.models.spec_file import is_spec_file
+from torchrl_atr.training.config import TrainConfig
+
+MODEL = "model"
+"""Folder of a run that holds its robot's and its transporter's files."""
+
+
+def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
+    """Copy the files that a configuration names into the run, unless they are there.
+
+    Args:
+        config: of the run.
+        run: its folder, which exists.
+        fresh: whether it is a new run, which keeps nothing of an earlier one's.
+
+    Returns:
+        The configuration with the copies in place of the originals.
+
+    Raises:
+        RobotError: if a robot reads a file that cannot be copied.
+        OSError: if a file cannot be read or written.
+    """
+    folder = run.resolve() / MODEL
+    given = {name: Path(getattr(config, name)) for name in COPIES if is_spec_file(getattr(config, name))}
+    if not fresh and all(path.is_relative_to(folder) for path in given.values()):
+        return config
+    staged = folder.with_name(f".{MODEL}.{os.getpid()}.part")
+    copies: dict[str, Any] = {}
+    with naming(folder):
+        try:
+            for name, path in given.items():  # before the old folder goes: they may lie in it
+                copies[name] = str(folder / COPIES[name](path, staged / name).relative_to(staged))
+            if folder.exists():
+                shutil.rmtree(folder)
+            if given:
+                os.replace(staged, folder)
+        finally:
+            shutil.rmtree(staged, ignore_errors=True)
+    return dataclasses.replace(config, **copies)
+
+
+def stored_settings(config: TrainConfig, run: Path) -> dict[str, Any]:
+    """Return a configuration as plain JSON values that name the run's own files relative to its folder."""
+    settings, folder = config.to_dict(), run.resolve()
+    for name in COPIES:
+        if is_spec_file(settings[name]) and Path(settings[name]).is_relative_to(folder):
+            settings[name] = Path(settings[name]).relative_to(folder).as_posix()
+    return settings
+
+
+def located_settings(settings: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Undo :func:`stored_settings`, wherever the run is now; absolute paths and names stay as they are.
+
+    Args:
+        settings: field values.
+        folder: of the run, or of the file that the settings are from.
+
+    Example:
+        >>> located_settings({"robot": "model/robot/mine.toml", "gamma": 0.9}, Path("/runs/one"))["robot"]
+        '/runs/one/model/robot/mine.toml'
+    """
+    files = {name: settings[name] for name in COPIES if is_spec_file(settings.get(name))}
+    return {**settings, **{name: str(folder.resolve() / value) for name, value in files.items()}}
