@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
@@ -10,6 +11,7 @@ from torchrl.envs import AntEnv, EnvBase, ParallelEnv
 
 from benchmarks.contenders import stepped
 from benchmarks.timing import Contender, Key
+from torchrl_atr._interrupt import signals_held
 
 SKIPPED_MJBATCH = (
     "cannot be installed beside us: mjbatch 0.1.4 needs mujoco==3.14.0, we need 3.17; "
@@ -30,19 +32,27 @@ def dm_control_ride(seed: int) -> EnvBase:
 def dm_control(workers: int) -> Contender:
     """``ParallelEnv`` of ``DMControlWrapper(suite.load("a1", "single_board"))``."""
     seeds = [{"seed": seed} for seed in range(workers)]
-    return stepped("dm_control", ParallelEnv(workers, dm_control_ride, create_env_kwargs=seeds), workers)
+    return stepped("dm_control", _started(ParallelEnv(workers, dm_control_ride, create_env_kwargs=seeds)), workers)
 
 
 def torchrl_ant(workers: int) -> Contender:
     """TorchRL's own ``MujocoEnv(backend="mujoco")`` on its ant: another task, 5 substeps, 8 joints."""
-    return stepped("torchrl_ant", ParallelEnv(workers, partial(AntEnv, backend="mujoco")), workers)
+    return stepped("torchrl_ant", _started(ParallelEnv(workers, partial(AntEnv, backend="mujoco"))), workers)
+
+
+def _started(env: ParallelEnv) -> ParallelEnv:
+    """Start its workers; Ctrl-C reaches them, too, but it is this process that ends them, by SIGTERM at the latest."""
+    with signals_held([signal.SIGINT]):
+        env.start()
+    return env
 
 
 def gymnasium_ant(workers: int) -> Contender:
     """Gymnasium's ``AsyncVectorEnv`` of ``Ant-v5``: another task, 5 substeps, 8 joints."""
     import gymnasium
 
-    env = gymnasium.vector.AsyncVectorEnv([partial(gymnasium.make, "Ant-v5")] * workers)
+    with signals_held([signal.SIGINT]):
+        env = gymnasium.vector.AsyncVectorEnv([partial(gymnasium.make, "Ant-v5")] * workers)
     env.reset(seed=0)
     still = 0.0 * env.action_space.sample()
 

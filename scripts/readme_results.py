@@ -21,7 +21,7 @@ ROWS = (
 
 def section(folder: Path) -> str:
     """One run as Markdown: a clip, a table, and where the numbers come from."""
-    metrics = json.loads((folder / "metrics.json").read_text())
+    metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
     run, still, path = metrics["run"], metrics["do_nothing"], folder.relative_to(ROOT)
     lines = ["## Results", "", f"![a ride]({path}/ride.gif)", ""]
     lines += ["| deployed policy | ours | a board that never moves |", "| --- | --- | --- |"]
@@ -47,10 +47,10 @@ def origin(run: dict[str, Any]) -> str:
 def main() -> None:
     """Replaces what stands between the markers."""
     readme = ROOT / "README.md"
-    before, rest = readme.read_text().split(BEGIN)
+    before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]
     sections = "\n\n".join(section(path.parent) for path in sorted(ROOT.glob("results/*/metrics.json")))
-    readme.write_text(f"{before}{BEGIN}\n{sections}\n{END}{after}")
+    readme.write_text(f"{before}{BEGIN}\n{sections}\n{END}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

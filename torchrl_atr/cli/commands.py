@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._errors import UserError
-from torchrl_atr._files import atomic, make_folder, say
+from torchrl_atr._files import atomic, folder_for, say, whole
 from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.parser import DEFAULT_RUN, PLACES, RESUMABLE, SETTINGS, option
+from torchrl_atr.cli.printing import StepCounter, estimator_lines, headlines, replay_head, replay_line
 from torchrl_atr.listings import LISTINGS
 
 if TYPE_CHECKING:
-    from torchrl_atr.training import TrainConfig
-
-_HEADLINES = (
-    "survival",
-    "settled_speed_error_straight",
-    "settled_speed_error",
-    "settled_yaw_error",
-    "yaw_slope",
-    "commands_mastered",
-)
+    from torchrl_atr.training import TrainConfig, Trainer
 
 
 def train(arguments: argparse.Namespace) -> int:
@@ -42,7 +35,8 @@ def train(arguments: argparse.Namespace) -> int:
         config = make_config(values, arguments.overrides)
     else:
         config = _config_from(arguments.start, values, arguments.overrides)
-    return _exit_code(Trainer(config, output, start=arguments.start).train())
+    with folder_for(output):
+        return _train(Trainer(config, output, start=arguments.start))
 
 
 def _config_from(run: Path, values: dict[str, Any], overrides: list[str] | None) -> TrainConfig:
@@ -70,12 +64,19 @@ def _resume(arguments: argparse.Namespace) -> int:
     changed = {name: getattr(arguments, name) for name in given}
     trainer = Trainer(run_config(state, arguments.resume, **changed), arguments.resume, state)
     if trainer.finished:
-        sys.stdout.write(f"{arguments.resume} has ended; to go on, give a larger --total-frames or --max-minutes\n")
+        say(f"{arguments.resume} has ended; to go on, give a larger --total-frames or --max-minutes")
         return 0
-    return _exit_code(trainer.train())
+    return _train(trainer)
 
 
-def _exit_code(signal: int | None) -> int:
+def _train(trainer: Trainer) -> int:
+    """Trains, and says where the run is and what to do with it."""
+    signal = trainer.train()
+    run, amount = shlex.quote(str(trainer.run)), f"{trainer.frames:,} robot steps in {trainer.seconds / 60:.1f} minutes"
+    say(f"{'finished' if signal is None else 'stopped'} after {amount}; the run is in {run}")
+    if signal is not None:
+        say(f"go on with: torchrl-atr train --resume {run}")
+    say(f"measure it with: torchrl-atr evaluate {run}")
     return 0 if signal is None else 128 + signal
 
 
@@ -90,31 +91,33 @@ def evaluate(arguments: argparse.Namespace) -> None:
     deck = _deck(arguments)
     config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), num_envs=1, **deck)
     env.close()
-    make_folder(output)
-    result = evaluate_tracking(
-        networks.deployed_policy(),
-        partial(make_env, config, randomization=arguments.randomization, **deck, **DEPLOYED),
-        command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
-        robots_per_command=arguments.robots_per_command,
-        seed=arguments.seed,
-        encoder_module=networks.encoder_module,
-        progress=_show_steps,
-    )
-    metrics = tracking_metrics(result)
-    metrics["evaluation"] = {
-        "transporter": env.base_env.scene.transporter.name,
-        "seed": arguments.seed,
-        "randomization": arguments.randomization,
-        "checkpoint": arguments.checkpoint,
-    }
-    metrics["run"] = state["provenance"]
-    write_report(result, metrics, output)
-    if (arguments.run / "progress.csv").is_file():
-        figures.plot_learning_curves(arguments.run / "progress.csv", output / "learning_curves.png")
-    weights = state["curriculum"]["weights"]
-    figures.plot_curriculum(weights, env.transform[0].grid.bounds, output / "curriculum.png")
-    _print_figures(metrics)
-    sys.stdout.write(f"report in {output}\n")
+    grid = command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step)
+    with folder_for(output):
+        with StepCounter("evaluating") as counter:
+            result = evaluate_tracking(
+                networks.deployed_policy(),
+                partial(make_env, config, randomization=arguments.randomization, **deck, **DEPLOYED),
+                grid,
+                robots_per_command=arguments.robots_per_command,
+                seed=arguments.seed,
+                encoder_module=networks.encoder_module,
+                progress=counter,
+            )
+        metrics = tracking_metrics(result)
+        metrics["evaluation"] = {
+            "transporter": env.base_env.scene.transporter.name,
+            "seed": arguments.seed,
+            "randomization": arguments.randomization,
+            "checkpoint": arguments.checkpoint,
+        }
+        metrics["run"] = state["provenance"]
+        with whole(output) as folder:
+            write_report(result, metrics, folder)
+            if (arguments.run / "progress.csv").is_file():
+                figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
+            weights = state["curriculum"]["weights"]
+            figures.plot_curriculum(weights, env.transform[0].grid.bounds, folder / "curriculum.png")
+    say("\n".join([*headlines(metrics), *estimator_lines(metrics["estimator_errors"]), f"report in {output}"]))
 
 
 def _checkpoint(arguments: argparse.Namespace) -> str | None:
@@ -141,21 +144,6 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     return output
 
 
-def _show_steps(done: int, total: int) -> None:
-    if done % 50 == 0 or done == total:
-        sys.stdout.write(f"\revaluating: {done} of {total} control steps" + ("\n" if done == total else ""))
-        sys.stdout.flush()
-
-
-def _print_figures(metrics: dict[str, Any]) -> None:
-    """The headline figures, those of a board that never moves, from which nobody falls, beside them."""
-    still = metrics["do_nothing"]
-    sys.stdout.write(f"{'':32}{'ours':>10}{'still board':>14}\n")
-    for name in _HEADLINES:
-        ours, theirs = (f"{value:.3f}" if value is not None else "-" for value in (metrics[name], still[name]))
-        sys.stdout.write(f"{name:32}{ours:>10}{theirs:>14}\n")
-
-
 def play(arguments: argparse.Namespace) -> None:
     """``torchrl-atr play``."""
     from torchrl_atr.evaluation import play_viewer, record_video
@@ -169,7 +157,7 @@ def play(arguments: argparse.Namespace) -> None:
         play_viewer(policy, env)
     else:
         record_video(policy, env, arguments.video, seconds=arguments.seconds)
-        sys.stdout.write(f"wrote {arguments.video}\n")
+        say(f"wrote {arguments.video}")
 
 
 def replay(arguments: argparse.Namespace) -> None:
@@ -177,13 +165,11 @@ def replay(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import replay as replayed
 
     import_modules(arguments.imports or ())
-    sys.stdout.write(f"{'step':>6}{'v, m/s':>10}{'w, rad/s':>10}{'tilt, rad':>11}{'max |qvel|':>12}{'max |a|':>9}\n")
+    say(replay_head())
     for step in replayed(arguments.dump, arguments.video):
-        figures = f"{step.speed:10.3f}{step.yaw_rate:10.3f}{step.tilt:11.3f}{step.largest_velocity:12.4g}"
-        failed = "  failed" if step.diverged else ""
-        sys.stdout.write(f"{step.step:6d}{figures}{step.largest_action:9.3f}{failed}\n")
+        say(replay_line(step))
     if arguments.video is not None:
-        sys.stdout.write(f"wrote {arguments.video}\n")
+        say(f"wrote {arguments.video}")
 
 
 def write_model(arguments: argparse.Namespace) -> None:
@@ -195,8 +181,8 @@ def write_model(arguments: argparse.Namespace) -> None:
     robot = get_robot(arguments.robot)
     spec = scene_spec(robot, get_transporter(arguments.transporter, robot), Readings())
     with atomic(arguments.output) as file:
-        file.write_text(spec.to_xml())
-    sys.stdout.write(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter\n")
+        file.write_text(spec.to_xml(), encoding="utf-8")
+    say(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter")
 
 
 def bench(arguments: argparse.Namespace) -> None:
@@ -208,8 +194,9 @@ def bench(arguments: argparse.Namespace) -> None:
     from benchmarks.bench import FULL, QUICK, run
 
     command = "torchrl-atr bench --quick" if arguments.quick else "torchrl-atr bench"
-    run(QUICK if arguments.quick else FULL, arguments.output, command)
-    sys.stdout.write(f"{(arguments.output / 'bench.md').read_text()}report in {arguments.output}\n")
+    with folder_for(arguments.output) as folder:
+        run(QUICK if arguments.quick else FULL, folder, command)
+    say(f"{(folder / 'bench.md').read_text(encoding='utf-8')}report in {folder}")
 
 
 def show_list(arguments: argparse.Namespace) -> None:

@@ -88,14 +88,14 @@ class Progress:
 
     def _keep_rows(self, frames: int) -> list[str]:
         """Drops the rows of iterations that the checkpoint has not seen; returns the columns."""
-        with self._csv_path.open(newline="") as file:
+        with self._csv_path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             columns = list(reader.fieldnames or [])
             if columns and "frames" not in columns:
                 raise InputError(f"{self._csv_path} is not the log of a run: it has no column 'frames'; move it away")
             whole = (row for row in reader if None not in row.values())  # a kill may have cut the last one
             rows = [row for row in whole if float(row["frames"]) <= frames]
-        with atomic(self._csv_path) as path, path.open("w", newline="") as file:
+        with atomic(self._csv_path) as path, path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, columns)
             writer.writeheader()
             writer.writerows(rows)
@@ -106,7 +106,7 @@ class Progress:
         if fresh:
             # a metric that the first batch lacks (no episode had ended) still gets its column
             self._fields = list(dict.fromkeys([*metrics, "episode_length", "episode_reward"]))
-        with naming(self._csv_path), self._csv_path.open("a", newline="") as file:
+        with naming(self._csv_path), self._csv_path.open("a", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, self._fields, extrasaction="ignore", restval="")
             if fresh:
                 writer.writeheader()

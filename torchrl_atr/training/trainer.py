@@ -5,19 +5,19 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from torchrl_atr._files import say, sweep, write_json
+from torchrl_atr._interrupt import Interrupt
 from torchrl_atr.modules import RidingNetworks, get_estimator
 from torchrl_atr.training.assembly import make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import CollectionError
 from torchrl_atr.training.config import ConfigError, TrainConfig
-from torchrl_atr.training.interrupt import Interrupt
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.member import DUMPS, Member, assist, env_maker, make_member
 from torchrl_atr.training.progress import Progress
@@ -27,6 +27,7 @@ from torchrl_atr.training.team import Team, torch_threads
 
 _MEMORY = 0.05
 """Weight of an iteration in the running mean of the episode reward."""
+_STOPPING = "stopping after this iteration; once more to stop at once"
 
 
 class Trainer:
@@ -100,7 +101,7 @@ class Trainer:
             The signal that ended it early, or None.
         """
         write_json(self.run / "config.json", self.config.to_dict())
-        with Interrupt() as interrupt, torch_threads(self.torch_threads):
+        with Interrupt(partial(say, _STOPPING)) as interrupt, torch_threads(self.torch_threads):
             try:
                 _ = self.member  # other processes take a while: not part of the first iteration's time
                 self.save()
@@ -114,10 +115,7 @@ class Trainer:
                     raise
             finally:
                 self._close()
-        if interrupt.signal is None or self.finished:
-            return None
-        say(f"stopped; go on with: torchrl-atr train --resume {self.run}")
-        return interrupt.signal
+        return None if self.finished else interrupt.signal
 
     @cached_property
     def member(self) -> Member:
