@@ -61,9 +61,9 @@ def folder_for(path: str | Path) -> Iterator[Path]:
     Example:
         >>> home = Path(tempfile.mkdtemp())
         >>> with folder_for(home / "runs" / "report") as folder:
-        ...     raise KeyboardInterrupt
+        ...     raise ValueError("nothing to write")
         Traceback (most recent call last):
-        KeyboardInterrupt
+        ValueError: nothing to write
         >>> list(home.iterdir())
         []
     """

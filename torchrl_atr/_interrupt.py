@@ -42,10 +42,12 @@ class Interrupt:
         stopping after this iteration
         >>> interrupt.signal == signal.SIGTERM
         True
-        >>> with Interrupt():
-        ...     signal.raise_signal(signal.SIGINT)
-        Traceback (most recent call last):
-        torchrl_atr._interrupt.Stopped: 2
+        >>> try:
+        ...     with Interrupt():
+        ...         signal.raise_signal(signal.SIGINT)
+        ... except Stopped as stop:
+        ...     print(stop.signal)
+        2
     """
 
     def __init__(self, notice: Callable[[], object] | None = None) -> None:
