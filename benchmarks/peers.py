@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
+from multiprocessing import resource_tracker
 
 from torchrl.envs import AntEnv, EnvBase, ParallelEnv
 
@@ -22,9 +25,11 @@ Peer = Callable[[int], Contender]
 
 def dm_control_ride(seed: int) -> EnvBase:
     """One robot of the same task through TorchRL's wrapper, as a user would do it without this library's env."""
-    from torchrl.envs.libs.dm_control import DMControlWrapper
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # glfw's, of a display that nothing here needs
+        from torchrl.envs.libs.dm_control import DMControlWrapper
 
-    from torchrl_atr.envs import suite  # slow to import: only in the workers
+        from torchrl_atr.envs import suite  # slow to import: only in the workers
 
     return DMControlWrapper(suite.load("a1", "single_board", random=seed))
 
@@ -41,17 +46,24 @@ def torchrl_ant(workers: int) -> Contender:
 
 
 def _started(env: ParallelEnv) -> ParallelEnv:
-    """Start its workers; Ctrl-C reaches them, too, but it is this process that ends them, by SIGTERM at the latest."""
-    with signals_held([signal.SIGINT]):
+    with _ctrl_c_held():
         env.start()
     return env
+
+
+@contextmanager
+def _ctrl_c_held() -> Iterator[None]:
+    """Start workers that a terminal's Ctrl-C does not reach: this process ends them, by SIGTERM at the latest."""
+    resource_tracker.ensure_running()  # it lets signals through when it starts
+    with signals_held([signal.SIGINT]):
+        yield
 
 
 def gymnasium_ant(workers: int) -> Contender:
     """Gymnasium's ``AsyncVectorEnv`` of ``Ant-v5``: another task, 5 substeps, 8 joints."""
     import gymnasium
 
-    with signals_held([signal.SIGINT]):
+    with _ctrl_c_held():
         env = gymnasium.vector.AsyncVectorEnv([partial(gymnasium.make, "Ant-v5")] * workers)
     env.reset(seed=0)
     still = 0.0 * env.action_space.sample()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import json
 import os
@@ -13,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+_ESCAPE = "torchrl_atr.escape"
 _FREE = "free some space; a run goes on from its last checkpoint with --resume"
 _CHOOSE = "choose a path that you may write to"
 _AWAY = "it is in the way: choose another path"
@@ -165,14 +167,28 @@ def _write_nowhere() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _escape(error: UnicodeError) -> tuple[str | bytes, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    first = UnicodeEncodeError(error.encoding, error.object, error.start, error.start + 1, error.reason)
+    try:
+        return codecs.lookup_error("surrogateescape")(first)
+    except UnicodeEncodeError:
+        return codecs.backslashreplace_errors(first)
+
+
 def prepare_output() -> None:
-    r"""Have standard output and error take any text in any encoding: what one lacks is written as ``\u03c9``."""
+    r"""Have standard output and error take any text in any encoding: what it lacks is written as ``\u03c9``.
+
+    Names of files that are no text in this locale are written as the bytes that they are.
+    """
+    codecs.register_error(_ESCAPE, _escape)
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by whoever started this process
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
         stream = getattr(sys, name)
         if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
+            stream.reconfigure(errors=_ESCAPE)
 
 
 def sweep(folder: Path) -> None:

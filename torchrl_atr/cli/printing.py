@@ -65,7 +65,7 @@ def headlines(metrics: dict[str, Any]) -> Iterator[str]:
     still = metrics["do_nothing"]
     yield f"{'':40}{'ours':>10}{'still board':>14}"
     for name, unit in _HEADLINES.items():
-        yield f"{f'{name}, {unit}':40}{number(metrics[name], 10, 3)}{number(still[name], 14, 3)}"
+        yield f"{f'{name}, {unit}':40}{number(metrics[name], 10, 3)} {number(still[name], 13, 3)}"
 
 
 def estimator_lines(errors: dict[str, Any] | None) -> Iterator[str]:
@@ -80,7 +80,7 @@ def estimator_lines(errors: dict[str, Any] | None) -> Iterator[str]:
     rows = [] if errors["latent"] is None else [errors["latent"]]
     for row in [*rows, *errors["extrinsic"]]:
         label = row["label"] if row["unit"] in (None, "1") else f"{row['label']}, {row['unit']}"
-        yield f"{label:40}{number(row['mean'], 10, 3)}{number(row['std'], 14, 3)}"
+        yield f"{label:40}{number(row['mean'], 10, 3)} {number(row['std'], 13, 3)}"
 
 
 def replay_head() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping
 from itertools import cycle
 from pathlib import Path
@@ -77,8 +78,9 @@ def plot_heatmaps(result: TrackingResult, path: str | Path, largest: tuple[float
     up = result.survived
     combined = np.hypot(result.rms_speed_error, result.rms_yaw_error)
     rms, settled = f"RMS over {result.seconds:g} s", f"settled, after {result.settle:g} s"
-    tops = largest or tuple(float(np.abs(c).max()) or 1.0 for c in (result.speed_commands, result.yaw_commands))
-    both = float(np.hypot(*tops))
+    commands = result.speed_commands, result.yaw_commands
+    tops = largest or [float(np.abs(axis).max()) or 1.0 for axis in commands]
+    both = math.hypot(*tops)
     panels = [
         (f"Speed error, {rms}", "m/s", _cells(result.rms_speed_error), tops[0]),
         (f"Yaw rate error, {rms}", "rad/s", _cells(result.rms_yaw_error), tops[1]),

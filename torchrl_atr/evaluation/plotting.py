@@ -15,7 +15,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import QuadMesh
-from matplotlib.colors import Normalize, PowerNorm
+from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator, MaxNLocator
@@ -74,14 +74,14 @@ def heatmap(axis: Axes, x: Array, y: Array, values: Array, colours: str, top: fl
 
 def colour_bar(figure: Figure, axis: Axes, mesh: QuadMesh, label: str) -> None:
     """Add the colour bar of a heat map, with an arrow where values exceed it."""
-    values, top = np.ma.asarray(mesh.get_array()), mesh.norm.vmax
-    beyond = bool(values.count()) and float(values.max()) > float(top or 0.0)
+    values: Any = np.ma.asarray(mesh.get_array())
+    beyond = bool(values.count()) and values.max() > mesh.get_clim()[1]
     bar = figure.colorbar(mesh, ax=axis, label=label, extend="max" if beyond else "neither")
     ticks = _scale_ticks(mesh.norm)
     bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
 
 
-def _scale_ticks(norm: Normalize) -> list[float]:
+def _scale_ticks(norm: Any) -> list[float]:
     """The ends of a colour scale, and numbers of one digit between them that are far enough from each other."""
     top = float(norm.vmax or 1.0)
     decades = 10.0 ** np.arange(np.floor(np.log10(top)), np.floor(np.log10(top)) - 4, -1)

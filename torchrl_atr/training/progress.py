@@ -89,9 +89,7 @@ class Progress:
         self._writer: Any = None
 
     def __enter__(self) -> Progress:
-        from torch.utils.tensorboard import SummaryWriter  # heavy: only where a run starts
-
-        self._writer = SummaryWriter(str(self.run / "tensorboard"), purge_step=self._purge_step)
+        self._writer = self._make_writer()
         if sys.stdout.isatty():
             from rich.live import Live
 
@@ -102,21 +100,35 @@ class Progress:
     def __exit__(self, *exception: Any) -> None:
         if self._live is not None:
             self._live.__exit__(*exception)
-        self._writer.close()
+        if self._writer is not None:
+            self._writer.close()
 
     def update(self, metrics: dict[str, float]) -> None:
         """Shows and stores one iteration."""
         self._shown.update(metrics)
         self._append(self._shown)
-        for name, value in metrics.items():
-            tag = name if "/" in name else f"train/{name}"
-            self._writer.add_scalar(tag, value, int(metrics["frames"]))
+        if self._writer is not None:
+            for name, value in metrics.items():
+                tag = name if "/" in name else f"train/{name}"
+                self._writer.add_scalar(tag, value, int(metrics["frames"]))
         if self._live is not None:
             self._live.update(self._table())
         elif time.monotonic() - self._last_line > _LINE_SECONDS:
             self._last_line = time.monotonic()
             say(self._line() if self._lines % _PAGE else f"{_HEAD}\n{self._line()}")
             self._lines += 1
+
+    def _make_writer(self) -> Any:
+        """TensorBoard's; None where it cannot write: it knows no names of files that are no text in this locale."""
+        folder = str(self.run / "tensorboard")
+        try:
+            folder.encode()
+        except UnicodeEncodeError:
+            say("no TensorBoard log: this locale cannot spell the run folder; progress.csv holds the same")
+            return None
+        from torch.utils.tensorboard import SummaryWriter  # heavy: only where a run starts
+
+        return SummaryWriter(folder, purge_step=self._purge_step)
 
     def _keep_rows(self, frames: int) -> list[str]:
         """Drops the rows of iterations that the checkpoint has not seen; returns the columns."""
@@ -156,7 +168,7 @@ class Progress:
         return [*rows, ("time left", self._left())]
 
     def _line(self) -> str:
-        return "".join(shown.cell(self._shown) for shown in _SHOWN) + self._left().rjust(_LEFT)
+        return "".join(shown.cell(self._shown) for shown in _SHOWN) + f" {self._left()}".rjust(_LEFT)
 
     def _table(self) -> Any:
         from rich.table import Table
