@@ -9,12 +9,14 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from torchrl_atr import _interrupt
 from torchrl_atr._files import atomic, folder_for, whole
 from torchrl_atr._interrupt import Interrupt, Stopped, signals_held
 from torchrl_atr.cli import commands, main
+from torchrl_atr.evaluation import ReplayedStep
 from torchrl_atr.training import Trainer, make_config
 
 TINY = {"num_envs": 2, "rollout_steps": 2, "total_frames": 8, "num_threads": 1, "minibatches": 1, "critic_cells": [8]}
@@ -76,6 +78,50 @@ def test_a_video_that_is_stopped_leaves_nothing(run, tmp_path, number, group):
     words = ["play", run, "--video", video, "--seconds", 3600]
     assert _interrupted(words, number, group, begun) == (128 + number, "stopped\n")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", ["mp4", "gif"])
+def test_a_replay_that_is_stopped_between_two_steps_leaves_nothing(tmp_path, monkeypatch, capsys, suffix):
+    pytest.importorskip("mediapy")
+    module = sys.modules[ReplayedStep.__module__]  # evaluation.replay is the function
+    steps = [ReplayedStep(i, 0.0, 0.0, 0.0, 0.0, 0.0, False) for i in range(5)]
+    monkeypatch.setattr(module, "load_dump", lambda path: {"reason": ""})
+    monkeypatch.setattr(module, "_scene", lambda *_: None)
+    monkeypatch.setattr(module, "_steps", lambda *_: iter(steps))
+    monkeypatch.setattr(module, "Picture", _Blank)
+
+    def line(step):
+        if step.step == 3:
+            assert any(tmp_path.rglob(f".ride.*.part.{suffix}"))
+            assert _children("ffmpeg")
+            signal.raise_signal(signal.SIGTERM)
+        return str(step)
+
+    monkeypatch.setattr(commands, "replay_line", line)
+    assert main(["replay", "dump.pt", "--video", str(tmp_path / "new" / f"ride.{suffix}")]) == 143
+    assert capsys.readouterr().err == "stopped\n"
+    assert list(tmp_path.iterdir()) == []
+    assert _children("ffmpeg") == []
+
+
+class _Blank:
+    """Stands in for a renderer, which not every machine has."""
+
+    def __init__(self, *arguments: object) -> None: ...
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception: object) -> None: ...
+
+    def render(self, *arguments: object, **options: object):
+        return np.zeros((480, 640, 3), np.uint8)
+
+
+def _children(name):
+    listing = subprocess.run(["ps", "-eo", "ppid=,stat=,args="], capture_output=True, encoding="utf-8").stdout
+    rows = [line.split(None, 2) for line in listing.splitlines()]
+    return [row for row in rows if row[0] == str(os.getpid()) and name in row[2] and not row[1].startswith("Z")]
 
 
 def _needs_renderer():

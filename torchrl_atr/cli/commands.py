@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,8 +167,9 @@ def replay(arguments: argparse.Namespace) -> None:
 
     import_modules(arguments.imports or ())
     say(replay_head())
-    for step in replayed(arguments.dump, arguments.video):
-        say(replay_line(step))
+    with closing(replayed(arguments.dump, arguments.video)) as steps:  # whatever ends it, the video ends here, too
+        for step in steps:
+            say(replay_line(step))
     if arguments.video is not None:
         say(f"wrote {arguments.video}")
 
