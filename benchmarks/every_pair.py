@@ -155,9 +155,9 @@ def summarise(output: Path) -> None:
         robot, transporter = pair.split(":")
         curves.setdefault(robot, {})[transporter] = folder / "progress.csv"
     figures.plot_runs(curves, output / "learning_curves.png")
-    records = {pair: json.loads((folder / COMPARISON).read_text()) for pair, folder in done.items()}
+    records = {pair: json.loads((folder / COMPARISON).read_text(encoding="utf-8")) for pair, folder in done.items()}
     with atomic(output / "README.md") as file:
-        file.write_text(table(records))
+        file.write_text(table(records), encoding="utf-8")
 
 
 def table(records: dict[str, dict[str, Any]]) -> str:

@@ -50,7 +50,8 @@ def kill_once(run: Path, delay: float, from_start: bool = False) -> dict[str, An
         [sys.executable, "-m", "torchrl_atr.cli", "train", *start],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
-        text=True,
+        encoding="utf-8",
+        errors="replace",
     )
     try:
         lost = None if from_start else _wait_for_progress(process, run, before)

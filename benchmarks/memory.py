@@ -1,4 +1,4 @@
-"""Peak memory of training, in a process of its own: ``python -m benchmarks.memory ROBOTS STEPS``."""
+"""Peak memory of training, in a process of its own: ``python -m benchmarks.memory ROBOTS STEPS FOLDER``."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.training import TrainingLoop
+from torchrl_atr._interrupt import signals_held
 from torchrl_atr.training import TrainConfig
 
 ROOT = Path(__file__).parents[1]
@@ -17,24 +18,32 @@ ROOT = Path(__file__).parents[1]
 
 def peak_memory(num_envs: int, steps: int) -> dict[str, float]:
     """What training N robots takes, MB: ``imported`` before anything is built, ``peak`` after two iterations."""
-    command = [sys.executable, "-m", "benchmarks.memory", str(num_envs), str(steps)]
-    child = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
-    return {"num_envs": num_envs, **json.loads(child.stdout.splitlines()[-1])}
+    with tempfile.TemporaryDirectory() as scratch:
+        command = [sys.executable, "-m", "benchmarks.memory", str(num_envs), str(steps), scratch]
+        with signals_held():
+            child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, encoding="utf-8")
+        try:
+            output, _ = child.communicate()
+        finally:
+            child.kill()  # where this was interrupted
+            child.wait()
+    if child.returncode:
+        raise subprocess.CalledProcessError(child.returncode, command)
+    return {"num_envs": num_envs, **json.loads(output.splitlines()[-1])}
 
 
 def _resident() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # kB on Linux
 
 
-def _main(num_envs: int, steps: int) -> None:
+def _main(num_envs: int, steps: int, scratch: Path) -> None:
     imported = _resident()
-    with tempfile.TemporaryDirectory() as folder:
-        loop = TrainingLoop(TrainConfig(num_envs=num_envs, rollout_steps=steps), Path(folder))
-        for _ in range(2):  # the second batch is collected beside what the first left behind
-            loop.iterate()
-        loop.close()
+    loop = TrainingLoop(TrainConfig(num_envs=num_envs, rollout_steps=steps), scratch)
+    for _ in range(2):  # the second batch is collected beside what the first left behind
+        loop.iterate()
+    loop.close()
     sys.stdout.write(json.dumps({"imported": round(imported, 1), "peak": round(_resident(), 1)}) + "\n")
 
 
 if __name__ == "__main__":
-    _main(*map(int, sys.argv[1:]))
+    _main(int(sys.argv[1]), int(sys.argv[2]), Path(sys.argv[3]))

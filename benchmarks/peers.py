@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import signal
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
+from multiprocessing import resource_tracker
 
 from torchrl.envs import AntEnv, EnvBase, ParallelEnv
 
 from benchmarks.contenders import stepped
 from benchmarks.timing import Contender, Key
+from torchrl_atr._interrupt import signals_held
 
 SKIPPED_MJBATCH = (
     "cannot be installed beside us: mjbatch 0.1.4 needs mujoco==3.14.0, we need 3.17; "
@@ -21,9 +26,11 @@ Peer = Callable[[int], Contender]
 
 def dm_control_ride(seed: int) -> EnvBase:
     """One robot of the same task through TorchRL's wrapper, as a user would do it without this library's env."""
-    from torchrl.envs.libs.dm_control import DMControlWrapper
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # glfw's, of a display that nothing here needs
+        from torchrl.envs.libs.dm_control import DMControlWrapper
 
-    from torchrl_atr.envs import suite  # slow to import: only in the workers
+        from torchrl_atr.envs import suite  # slow to import: only in the workers
 
     return DMControlWrapper(suite.load("a1", "single_board", random=seed))
 
@@ -31,19 +38,34 @@ def dm_control_ride(seed: int) -> EnvBase:
 def dm_control(workers: int) -> Contender:
     """``ParallelEnv`` of ``DMControlWrapper(suite.load("a1", "single_board"))``."""
     seeds = [{"seed": seed} for seed in range(workers)]
-    return stepped("dm_control", ParallelEnv(workers, dm_control_ride, create_env_kwargs=seeds), workers)
+    return stepped("dm_control", _started(ParallelEnv(workers, dm_control_ride, create_env_kwargs=seeds)), workers)
 
 
 def torchrl_ant(workers: int) -> Contender:
     """TorchRL's own ``MujocoEnv(backend="mujoco")`` on its ant: another task, 5 substeps, 8 joints."""
-    return stepped("torchrl_ant", ParallelEnv(workers, partial(AntEnv, backend="mujoco")), workers)
+    return stepped("torchrl_ant", _started(ParallelEnv(workers, partial(AntEnv, backend="mujoco"))), workers)
+
+
+def _started(env: ParallelEnv) -> ParallelEnv:
+    with _ctrl_c_held():
+        env.start()
+    return env
+
+
+@contextmanager
+def _ctrl_c_held() -> Iterator[None]:
+    """Start workers that a terminal's Ctrl-C does not reach: this process ends them, by SIGTERM at the latest."""
+    resource_tracker.ensure_running()  # it lets signals through when it starts
+    with signals_held([signal.SIGINT]):
+        yield
 
 
 def gymnasium_ant(workers: int) -> Contender:
     """Gymnasium's ``AsyncVectorEnv`` of ``Ant-v5``: another task, 5 substeps, 8 joints."""
     import gymnasium
 
-    env = gymnasium.vector.AsyncVectorEnv([partial(gymnasium.make, "Ant-v5")] * workers)
+    with _ctrl_c_held():
+        env = gymnasium.vector.AsyncVectorEnv([partial(gymnasium.make, "Ant-v5")] * workers)
     env.reset(seed=0)
     still = 0.0 * env.action_space.sample()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.summary import TRAINED, shares
-from torchrl_atr._files import atomic, write_json
+from torchrl_atr._files import whole, write_json
 
 LABELS = {
     "bare": "`RidingEnv`, zero action",
@@ -25,10 +25,10 @@ LABELS = {
 
 
 def write(results: dict[str, Any], folder: Path) -> None:
-    """Writes both files."""
-    write_json(folder / "bench.json", results)
-    with atomic(folder / "bench.md") as file:
-        file.write_text(markdown(results))
+    """Writes both files, or neither."""
+    with whole(folder) as temporary:
+        write_json(temporary / "bench.json", results)
+        (temporary / "bench.md").write_text(markdown(results), encoding="utf-8")
 
 
 def markdown(results: dict[str, Any]) -> str:

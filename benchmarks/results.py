@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from torchrl_atr._errors import UserError
-from torchrl_atr._files import atomic, write_json
+from torchrl_atr._files import atomic, prepare_output, write_json
+from torchrl_atr._interrupt import Interrupt
 from torchrl_atr.training import ConfigError, TrainConfig, make_config, read_config
 from torchrl_atr.training.provenance import cores
 
@@ -17,7 +19,7 @@ def write(folder: Path, name: str, report: dict[str, Any], readme: str) -> None:
     """Writes ``<name>.json`` and ``README.md``, each whole or not at all."""
     write_json(folder / f"{name}.json", report)
     with atomic(folder / "README.md") as file:
-        file.write_text(readme)
+        file.write_text(readme, encoding="utf-8")
 
 
 def origin(report: dict[str, Any]) -> str:
@@ -49,18 +51,20 @@ def refuse_other_settings(config: TrainConfig, folder: Path) -> None:
 
 
 def exit_code(name: str, measure: Callable[[], None]) -> int:
-    """Measures: 0, or 130 if it was stopped, or 2 after one message about what the user gave.
+    """Measures: 0, or 130 or 143 if it was stopped, or 2 after one message about what the user gave.
 
     Args:
         name: of the benchmark, for messages.
         measure: goes on where it was, called again.
     """
-    try:
-        measure()
-    except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command goes on\n")
-        return 130
-    except UserError as error:
-        sys.stderr.write(f"{name}: {error}\n")
-        return 2
+    with Interrupt():
+        prepare_output()
+        try:
+            measure()
+        except KeyboardInterrupt as stop:
+            sys.stderr.write("stopped; the same command goes on\n")
+            return 128 + getattr(stop, "signal", signal.SIGINT)
+        except UserError as error:
+            sys.stderr.write(f"{name}: {error}\n")
+            return 2
     return 0

@@ -89,7 +89,9 @@ def train_until(config: TrainConfig, folder: Path, every: float, robots_per_comm
     """
     notes = folder / NOTES
     state = load_checkpoint(folder) if (folder / NAME).exists() else None
-    tried: list[dict[str, Any]] = json.loads(notes.read_text()) if state is not None and notes.exists() else []
+    tried: list[dict[str, Any]] = (
+        json.loads(notes.read_text(encoding="utf-8")) if state is not None and notes.exists() else []
+    )
     if tried and meets(tried[-1]):
         return tried
     trainer = Trainer(config, folder, state)
@@ -114,8 +116,8 @@ def finished_runs(runs: Path) -> list[dict[str, Any]]:
     """Seed, hardware and evaluations of every run in a folder, whichever call made it."""
     found = []
     for notes in sorted(runs.glob(f"*/{NOTES}")):
-        origin = json.loads((notes.parent / "run.json").read_text())
-        evaluations = json.loads(notes.read_text())
+        origin = json.loads((notes.parent / "run.json").read_text(encoding="utf-8"))
+        evaluations = json.loads(notes.read_text(encoding="utf-8"))
         found.append({"seed": origin["seed"], "hardware": origin["hardware"], "evaluations": evaluations})
     return found
 

@@ -13,6 +13,7 @@ from benchmarks import bench, contenders, summary
 from benchmarks.stopwatch import Stopwatch
 from benchmarks.timing import Contender, Key, interleave, medians
 from torchrl_atr import cli
+from torchrl_atr.cli import commands
 from torchrl_atr.envs import RidingEnv
 from torchrl_atr.training import TrainConfig
 
@@ -73,7 +74,7 @@ def check_profile(profile):
 
 
 def test_an_installed_package_says_to_use_a_clone(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(cli.commands, "__file__", str(tmp_path / "torchrl_atr" / "cli" / "commands.py"))
+    monkeypatch.setattr(commands, "__file__", str(tmp_path / "torchrl_atr" / "cli" / "commands.py"))
     assert cli.main(["bench", "--output", str(tmp_path / "out")]) == 2
     assert "run it from a clone" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

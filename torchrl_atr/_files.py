@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import json
 import os
@@ -9,10 +10,11 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+_ESCAPE = "torchrl_atr.escape"
 _FREE = "free some space; a run goes on from its last checkpoint with --resume"
 _CHOOSE = "choose a path that you may write to"
 _AWAY = "it is in the way: choose another path"
@@ -43,16 +45,82 @@ def explain(error: OSError) -> str:
     return f"{error.filename or 'a file'}: {error.strerror}; {remedy}"
 
 
-def make_folder(path: str | Path) -> None:
-    """Makes a folder, parents included, and tries to write to it: better now than after an hour's work.
+@contextmanager
+def folder_for(path: str | Path) -> Iterator[Path]:
+    """Make a folder, parents included, for what the block writes; if the block fails, those that are empty go again.
+
+    It is written to at once: better to fail now than after an hour's work.
+
+    Args:
+        path: of the folder; one that exists stays, whatever happens.
+
+    Yields:
+        The same path.
 
     Raises:
         OSError: if it cannot be made or written to; names the folder.
+
+    Example:
+        >>> home = Path(tempfile.mkdtemp())
+        >>> with folder_for(home / "runs" / "report") as folder:
+        ...     raise ValueError("nothing to write")
+        Traceback (most recent call last):
+        ValueError: nothing to write
+        >>> list(home.iterdir())
+        []
     """
-    path = Path(path)
-    path.mkdir(parents=True, exist_ok=True)
-    with naming(path), tempfile.TemporaryFile(dir=path) as file:
-        file.write(b"a full disk shows when something is written")
+    with _made(Path(path)) as folder:
+        with naming(folder), tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"a full disk shows when something is written")
+        yield folder
+
+
+@contextmanager
+def _made(folder: Path) -> Iterator[Path]:
+    missing = [each for each in (folder, *folder.parents) if not each.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield folder
+    except BaseException:
+        with suppress(OSError):  # not made, or not empty: then its parents stay, too
+            for each in missing:
+                each.rmdir()
+        raise
+
+
+@contextmanager
+def whole(path: str | Path) -> Iterator[Path]:
+    """Yield a folder to write files to; they move to the folder ``path`` together when the block ends without an error.
+
+    Raises:
+        OSError: if they cannot be written; names ``path``.
+
+    Example:
+        >>> target = Path(tempfile.mkdtemp())
+        >>> with whole(target) as folder:
+        ...     _ = (folder / "note.txt").write_text("all", encoding="utf-8")
+        ...     list(target.glob("*.txt"))
+        []
+        >>> [file.name for file in target.iterdir()]
+        ['note.txt']
+    """
+    with _made(Path(path)) as target, naming(path):
+        temporary = target / f".{os.getpid()}.part"
+        try:
+            temporary.mkdir()
+            yield temporary
+            try:
+                _move_files(temporary, target)
+            except KeyboardInterrupt:  # files of two reports would be worse than an end that comes late
+                _move_files(temporary, target)
+                raise
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _move_files(source: Path, target: Path) -> None:
+    for file in sorted(source.iterdir()):
+        os.replace(file, target / file.name)
 
 
 @contextmanager
@@ -66,23 +134,65 @@ def naming(path: str | Path) -> Iterator[None]:
         raise
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Writes ``value``, whole or not at all."""
+def write_json(path: Path, value: Any, allow_nan: bool = True) -> None:
+    """Writes ``value``, whole or not at all, in ASCII: what a command line was given may hold bytes that are no text.
+
+    Raises:
+        ValueError: if it holds NaN or infinity, which other readers of JSON refuse, and ``allow_nan`` is False.
+    """
     with atomic(path) as file:
-        file.write_text(json.dumps(value, indent=2) + "\n")
+        file.write_text(json.dumps(value, indent=2, allow_nan=allow_nan) + "\n", encoding="utf-8")
 
 
-def say(text: str) -> None:
+def say(text: str, end: str = "\n") -> None:
     """Writes a line for whoever reads; a pipe whose reader has left must not end hours of work."""
     try:
-        sys.stdout.write(text + "\n")
+        with naming("standard output"):
+            sys.stdout.write(text + end)
+            sys.stdout.flush()
+    except BrokenPipeError:
+        _write_nowhere()
+
+
+def flush() -> None:
+    """Write what is left of standard output, where it can be written: the interpreter's own last try would complain."""
+    try:
         sys.stdout.flush()
-    except BrokenPipeError:  # nor may the interpreter's own flush complain
+    except (OSError, ValueError):  # its reader is gone, the disk is full, or it has been closed
+        _write_nowhere()
+
+
+def _write_nowhere() -> None:
+    with suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
+def _escape(error: UnicodeError) -> tuple[str | bytes, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    first = UnicodeEncodeError(error.encoding, error.object, error.start, error.start + 1, error.reason)
+    try:
+        return codecs.lookup_error("surrogateescape")(first)
+    except UnicodeEncodeError:
+        return codecs.backslashreplace_errors(first)
+
+
+def prepare_output() -> None:
+    r"""Have standard output and error take any text in any encoding: what it lacks is written as ``\u03c9``.
+
+    Names of files that are no text in this locale are written as the bytes that they are.
+    """
+    codecs.register_error(_ESCAPE, _escape)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by whoever started this process
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
+        stream = getattr(sys, name)
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors=_ESCAPE)
+
+
 def sweep(folder: Path) -> None:
-    """Removes what a killed process left of files that it was writing with :func:`atomic`, and of such folders."""
+    """Remove what a killed process left of what it was writing with :func:`atomic` and :func:`whole`."""
     for path in folder.glob(".*.part*"):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -100,17 +210,15 @@ def atomic(path: str | Path) -> Iterator[Path]:
         OSError: if it cannot be written; names ``path``.
 
     Example:
-        >>> import tempfile
         >>> target = Path(tempfile.mkdtemp()) / "note.txt"
         >>> with atomic(target) as file:
-        ...     _ = file.write_text("whole")
-        >>> target.read_text()
+        ...     _ = file.write_text("whole", encoding="utf-8")
+        >>> target.read_text(encoding="utf-8")
         'whole'
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
-    with naming(path):
+    with _made(path.parent), naming(path):
         if path.exists() and not path.is_file():  # a folder; or a device, which the replacement would abolish
             raise FileExistsError(errno.EEXIST, "not a file")
         try:

@@ -74,7 +74,7 @@ def policy_of(function):
 def evaluate():
     """Evaluates ``function`` on the puppet: 20 steps of 0.1 s, the first 10 to settle."""
 
-    def run(function, commands=([-1.0, 0.0, 2.0], [-0.5, 0.0, 0.5]), robots=2, make_env=puppet_env, **options):
+    def run(function, commands=((-1.0, 0.0, 2.0), (-0.5, 0.0, 0.5)), robots=2, make_env=puppet_env, **options):
         policy = function if isinstance(function, torch.nn.Module) else policy_of(function)
         return evaluate_tracking(policy, make_env, commands, robots, 2.0, 1.0, speeds=puppet_speeds, dt=0.1, **options)
 

@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._errors import UserError
-from torchrl_atr._files import atomic, make_folder, say
+from torchrl_atr._files import atomic, folder_for, say, whole
 from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.parser import DEFAULT_RUN, PLACES, RESUMABLE, SETTINGS, option
+from torchrl_atr.cli.printing import StepCounter, estimator_lines, headlines, replay_head, replay_line
 from torchrl_atr.listings import LISTINGS
 
 if TYPE_CHECKING:
-    from torchrl_atr._threads import TorchThreads
-    from torchrl_atr.training import TrainConfig
-
-_HEADLINES = (
-    "survival",
-    "settled_speed_error_straight",
-    "settled_speed_error",
-    "settled_yaw_error",
-    "yaw_slope",
-    "commands_mastered",
-)
+    from torchrl_atr.training import TrainConfig, Trainer
 
 
 def train(arguments: argparse.Namespace) -> int:
@@ -41,10 +34,12 @@ def train(arguments: argparse.Namespace) -> int:
     values = read_config(arguments.config) if arguments.config else {}
     values |= {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
     if arguments.start is None:
-        return _exit_code(Trainer(make_config(values, arguments.overrides), output).train())
-    config = _config_from(arguments.start, values, arguments.overrides)
-    named = {*values, *(text.partition("=")[0].strip() for text in arguments.overrides or [])}
-    return _exit_code(Trainer(config, output, start=arguments.start, replaced=named).train())
+        config, named = make_config(values, arguments.overrides), set()
+    else:
+        config = _config_from(arguments.start, values, arguments.overrides)
+        named = {*values, *(text.partition("=")[0].strip() for text in arguments.overrides or [])}
+    with folder_for(output):
+        return _train(Trainer(config, output, start=arguments.start, replaced=named))
 
 
 def _config_from(run: Path, values: dict[str, Any], overrides: list[str] | None) -> TrainConfig:
@@ -71,12 +66,19 @@ def _resume(arguments: argparse.Namespace) -> int:
     changed = {name: getattr(arguments, name) for name in given}
     trainer = Trainer(run_config(state, arguments.resume, **changed), arguments.resume, state)
     if trainer.finished:
-        sys.stdout.write(f"{arguments.resume} has ended; to go on, give a larger --total-frames or --max-minutes\n")
+        say(f"{arguments.resume} has ended; to go on, give a larger --total-frames or --max-minutes")
         return 0
-    return _exit_code(trainer.train())
+    return _train(trainer)
 
 
-def _exit_code(signal: int | None) -> int:
+def _train(trainer: Trainer) -> int:
+    """Trains, and says where the run is and what to do with it."""
+    signal = trainer.train()
+    run, amount = shlex.quote(str(trainer.run)), f"{trainer.frames:,} robot steps in {trainer.seconds / 60:.1f} minutes"
+    say(f"{'finished' if signal is None else 'stopped'} after {amount}; the run is in {run}")
+    if signal is not None:
+        say(f"go on with: torchrl-atr train --resume {run}")
+    say(f"measure it with: torchrl-atr evaluate {run}")
     return 0 if signal is None else 128 + signal
 
 
@@ -93,33 +95,39 @@ def evaluate(arguments: argparse.Namespace) -> None:
     imports = arguments.imports or ()
     config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), imports, num_envs=1, **other)
     env.close()
-    make_folder(output)
-    with TorchThreads() as threads:
-        result = evaluate_tracking(
-            networks.deployed_policy(),
-            partial(make_env, config, randomization=arguments.randomization, **other, **DEPLOYED),
-            command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step),
-            robots_per_command=arguments.robots_per_command,
-            seed=arguments.seed,
-            encoder_module=networks.encoder_module,
-            progress=partial(_show_steps, threads),
-        )
-    metrics = tracking_metrics(result)
-    metrics["evaluation"] = {
-        "robot": env.base_env.scene.robot.name,
-        "transporter": env.base_env.scene.transporter.name,
-        "seed": arguments.seed,
-        "randomization": arguments.randomization,
-        "checkpoint": arguments.checkpoint,
-    }
-    metrics["run"] = state["provenance"]
-    write_report(result, metrics, output)
-    if (arguments.run / "progress.csv").is_file():
-        figures.plot_learning_curves(arguments.run / "progress.csv", output / "learning_curves.png")
-    weights = state["curriculum"]["weights"]
-    figures.plot_curriculum(weights, env.transform[0].grid.bounds, output / "curriculum.png")
-    _print_figures(metrics)
-    sys.stdout.write(f"report in {output}\n")
+    grid = command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step)
+    with folder_for(output):
+        with StepCounter("evaluating") as counter, TorchThreads() as threads:
+
+            def progress(done: int, total: int) -> None:
+                threads.update()
+                counter(done, total)
+
+            result = evaluate_tracking(
+                networks.deployed_policy(),
+                partial(make_env, config, randomization=arguments.randomization, **other, **DEPLOYED),
+                grid,
+                robots_per_command=arguments.robots_per_command,
+                seed=arguments.seed,
+                encoder_module=networks.encoder_module,
+                progress=progress,
+            )
+        metrics = tracking_metrics(result)
+        metrics["evaluation"] = {
+            "robot": env.base_env.scene.robot.name,
+            "transporter": env.base_env.scene.transporter.name,
+            "seed": arguments.seed,
+            "randomization": arguments.randomization,
+            "checkpoint": arguments.checkpoint,
+        }
+        metrics["run"] = state["provenance"]
+        with whole(output) as folder:
+            write_report(result, metrics, folder)
+            if (arguments.run / "progress.csv").is_file():
+                figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
+            weights = state["curriculum"]["weights"]
+            figures.plot_curriculum(weights, env.transform[0].grid.bounds, folder / "curriculum.png")
+    say("\n".join([*headlines(metrics), *estimator_lines(metrics["estimator_errors"]), f"report in {output}"]))
 
 
 def _checkpoint(arguments: argparse.Namespace) -> str | None:
@@ -148,22 +156,6 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     return output
 
 
-def _show_steps(threads: TorchThreads, done: int, total: int) -> None:
-    threads.update()
-    if done % 50 == 0 or done == total:
-        sys.stdout.write(f"\revaluating: {done} of {total} control steps" + ("\n" if done == total else ""))
-        sys.stdout.flush()
-
-
-def _print_figures(metrics: dict[str, Any]) -> None:
-    """The headline figures, those of a board that never moves, from which nobody falls, beside them."""
-    still = metrics["do_nothing"]
-    sys.stdout.write(f"{'':32}{'ours':>10}{'still board':>14}\n")
-    for name in _HEADLINES:
-        ours, theirs = (f"{value:.3f}" if value is not None else "-" for value in (metrics[name], still[name]))
-        sys.stdout.write(f"{name:32}{ours:>10}{theirs:>14}\n")
-
-
 def play(arguments: argparse.Namespace) -> None:
     """``torchrl-atr play``."""
     from torchrl_atr.evaluation import play_viewer, record_video
@@ -176,7 +168,7 @@ def play(arguments: argparse.Namespace) -> None:
         play_viewer(policy, env)
     else:
         record_video(policy, env, arguments.video, seconds=arguments.seconds)
-        sys.stdout.write(f"wrote {arguments.video}\n")
+        say(f"wrote {arguments.video}")
 
 
 def _imports_of(dump: Path) -> Sequence[str]:
@@ -194,13 +186,12 @@ def replay(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import replay as replayed
 
     import_modules(arguments.imports or _imports_of(arguments.dump))
-    sys.stdout.write(f"{'step':>6}{'v, m/s':>10}{'w, rad/s':>10}{'tilt, rad':>11}{'max |qvel|':>12}{'max |a|':>9}\n")
-    for step in replayed(arguments.dump, arguments.video):
-        figures = f"{step.speed:10.3f}{step.yaw_rate:10.3f}{step.tilt:11.3f}{step.largest_velocity:12.4g}"
-        failed = "  failed" if step.diverged else ""
-        sys.stdout.write(f"{step.step:6d}{figures}{step.largest_action:9.3f}{failed}\n")
+    say(replay_head())
+    with closing(replayed(arguments.dump, arguments.video)) as steps:  # whatever ends it, the video ends here, too
+        for step in steps:
+            say(replay_line(step))
     if arguments.video is not None:
-        sys.stdout.write(f"wrote {arguments.video}\n")
+        say(f"wrote {arguments.video}")
 
 
 def write_model(arguments: argparse.Namespace) -> None:
@@ -213,7 +204,7 @@ def write_model(arguments: argparse.Namespace) -> None:
     xml = scene_xml(robot, get_transporter(arguments.transporter, robot), Readings())
     with atomic(arguments.output) as file:
         file.write_text(xml, encoding="utf-8")
-    sys.stdout.write(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter\n")
+    say(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter")
 
 
 def bench(arguments: argparse.Namespace) -> None:
@@ -225,8 +216,9 @@ def bench(arguments: argparse.Namespace) -> None:
     from benchmarks.bench import FULL, QUICK, run
 
     command = "torchrl-atr bench --quick" if arguments.quick else "torchrl-atr bench"
-    run(QUICK if arguments.quick else FULL, arguments.output, command)
-    sys.stdout.write(f"{(arguments.output / 'bench.md').read_text()}report in {arguments.output}\n")
+    with folder_for(arguments.output) as folder:
+        run(QUICK if arguments.quick else FULL, folder, command)
+    say(f"{(folder / 'bench.md').read_text(encoding='utf-8')}report in {folder}")
 
 
 def show_list(arguments: argparse.Namespace) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_atr.envs.task.observations import extrinsic_label
 from torchrl_atr.evaluation.tracking import TrackingResult
 
 Array = NDArray[np.float64]
@@ -140,10 +141,14 @@ def estimator_table(result: TrackingResult) -> dict[str, Any] | None:
     if result.estimators is None:
         return None
     latent, extrinsic = result.estimators.moments()
-    return {
-        "latent": None if latent is None else {"mean": latent[0], "std": latent[1]},
-        "extrinsic": [{"name": name, "mean": mean, "std": std} for name, mean, std in extrinsic],
-    }
+    rows = []
+    for name, mean, std in extrinsic:
+        label, unit = extrinsic_label(name)
+        rows.append({"name": name, "label": label, "unit": unit, "mean": mean, "std": std})
+    norm = None
+    if latent is not None:
+        norm = {"label": "intrinsics' latent (norm)", "unit": "1", "mean": latent[0], "std": latent[1]}
+    return {"latent": norm, "extrinsic": rows}
 
 
 def _within(commands: Array, limit: float) -> NDArray[np.bool_]:

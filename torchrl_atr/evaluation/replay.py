@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ class ReplayedStep:
     diverged: bool
 
 
-def replay(path: str | Path, video: str | Path | None = None) -> Iterator[ReplayedStep]:
+def replay(path: str | Path, video: str | Path | None = None) -> Generator[ReplayedStep, None, None]:
     """Steps through a dump that a :class:`~torchrl_atr.envs.RidingEnv` with a ``dump_dir`` wrote.
 
     Args:

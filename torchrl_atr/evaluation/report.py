@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from torchrl_atr._files import atomic
+from torchrl_atr._files import atomic, write_json
 from torchrl_atr.evaluation.estimators import EstimatorErrors
 from torchrl_atr.evaluation.tracking import TrackingResult
 
@@ -35,8 +34,7 @@ def write_report(result: TrackingResult, metrics: Mapping[str, Any], output_dir:
 
     folder = Path(output_dir)
     paths = {name: folder / name for name in ("metrics.json", "tracking.npz")}
-    with atomic(paths["metrics.json"]) as file:
-        file.write_text(json.dumps(metrics, indent=2, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_json(paths["metrics.json"], metrics, allow_nan=False)
     save_tracking(result, paths["tracking.npz"])
     plots = {
         "heatmaps.png": figures.plot_heatmaps,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from torchrl.envs import EnvBase
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
+from torchrl_atr._interrupt import signals_held
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.evaluation.access import command_owner, deterministic, platform_speeds
 from torchrl_atr.evaluation.rendering import CHASE, Picture
@@ -150,8 +152,9 @@ def check_suffix(path: str | Path) -> None:
         raise InputError(f"cannot write {Path(path).name!r}; choose a name that ends in {' or '.join(_SUFFIXES)}")
 
 
-def video_writer(file: Path, suffix: str, fps: float, size: tuple[int, int] = (640, 480)) -> Any:
-    """A context manager with ``add_image(picture)``.
+@contextmanager
+def video_writer(file: Path, suffix: str, fps: float, size: tuple[int, int] = (640, 480)) -> Iterator[Any]:
+    """Yield something with ``add_image(picture)``; an error or a signal ends its ffmpeg without waiting for it.
 
     Args:
         file: what it writes.
@@ -162,7 +165,18 @@ def video_writer(file: Path, suffix: str, fps: float, size: tuple[int, int] = (6
     Raises:
         ImportError: if mediapy or imageio-ffmpeg is missing.
     """
-    return _mediapy().VideoWriter(file, (size[1], size[0]), fps=fps, codec=_SUFFIXES[suffix.lower()])
+    writer = _mediapy().VideoWriter(file, (size[1], size[0]), fps=fps, codec=_SUFFIXES[suffix.lower()])
+    try:
+        with signals_held():
+            writer.__enter__()
+        yield writer
+    except BaseException:
+        if writer._proc is not None:  # closing it would have ffmpeg finish the film first
+            writer._proc.kill()
+        with suppress(RuntimeError, OSError):  # it has been killed, or its error is this one's cause
+            writer.close()
+        raise
+    writer.close()
 
 
 def _mediapy() -> Any:

@@ -6,28 +6,58 @@ import csv
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic, naming, say
+from torchrl_atr._text import number
 from torchrl_atr.training.config import TrainConfig
 
+
+class _Shown(NamedTuple):
+    """A metric: its label and format in the live table; head, unit and width of its column elsewhere."""
+
+    name: str
+    label: str
+    style: str
+    head: str
+    unit: str
+    width: int
+
+    def cell(self, metrics: dict[str, float]) -> str:
+        """Its column's text, at least one space before it."""
+        value = metrics.get(self.name)
+        text = "-" if value is None else self.style.format(value)
+        return text.rjust(self.width) if len(text) < self.width else " " + number(value, self.width - 1, 0)
+
+
 _SHOWN = (
-    ("frames", "robot steps", "{:,.0f}"),
-    ("frames_per_second", "per second", "{:,.0f}"),
-    ("episode_length", "episode length, steps", "{:.0f}"),
-    ("speed_error", "speed error, m/s", "{:.3f}"),
-    ("yaw_error", "yaw error, rad/s", "{:.3f}"),
-    ("student_speed_error", "... acting on estimates", "{:.3f}"),
-    ("yaw_gain", "yaw gain", "{:.2f}"),
-    ("command_area", "command area", "{:.4f}"),
-    ("latent_error", "latent error", "{:.3f}"),
-    ("extrinsic_error", "extrinsic error, std", "{:.3f}"),
-    ("std", "action std", "{:.3f}"),
-    ("chatter", "action chatter", "{:.3f}"),
-    ("kl_approx", "KL", "{:.4f}"),
-    ("diverged", "diverged simulations", "{:.0f}"),
-    ("skipped_steps", "skipped steps", "{:.0f}"),
+    _Shown("frames", "robot steps", "{:,.0f}", "robot", "steps", 12),
+    _Shown("frames_per_second", "per second", "{:,.0f}", "rate", "steps/s", 8),
+    _Shown("episode_length", "episode length, steps", "{:.0f}", "length", "steps", 7),
+    _Shown("speed_error", "speed error, m/s", "{:.3f}", "v err", "m/s", 7),
+    _Shown("yaw_error", "yaw error, rad/s", "{:.3f}", "w err", "rad/s", 7),
+    _Shown("student_speed_error", "... acting on estimates", "{:.3f}", "est v", "m/s", 7),
+    _Shown("yaw_gain", "yaw gain", "{:.2f}", "yaw", "gain", 6),
+    _Shown("command_area", "command area", "{:.4f}", "area", "share", 7),
+    _Shown("latent_error", "latent error", "{:.3f}", "latent", "error", 7),
+    _Shown("extrinsic_error", "extrinsic error, std", "{:.3f}", "extrin", "error", 7),
+    _Shown("std", "action std", "{:.3f}", "act", "std", 6),
+    _Shown("chatter", "action chatter", "{:.3f}", "action", "rms", 7),
+    _Shown("kl_approx", "KL", "{:.4f}", "KL", "", 7),
+    _Shown("diverged", "diverged simulations", "{:.0f}", "sims", "failed", 7),
+    _Shown("skipped_steps", "skipped steps", "{:.0f}", "skip", "steps", 6),
+)
+_LEFT = 10
+"""Width of the time that is left; with it, a line has 118 characters."""
+_PAGE = 20
+"""Lines between two heads."""
+_HEAD = "\n".join(
+    "".join(text.rjust(width) for text, width in row)
+    for row in (
+        [*((each.head, each.width) for each in _SHOWN), ("left", _LEFT)],
+        [*((each.unit, each.width) for each in _SHOWN), ("h:min:s", _LEFT)],
+    )
 )
 _LINE_SECONDS = 15.0
 """Seconds between lines where there is no terminal to redraw."""
@@ -54,13 +84,12 @@ class Progress:
             self._fields = self._keep_rows(resume_from)
         self._shown: dict[str, float] = {}
         self._last_line = 0.0
+        self._lines = 0
         self._live: Any = None
         self._writer: Any = None
 
     def __enter__(self) -> Progress:
-        from torch.utils.tensorboard import SummaryWriter  # heavy: only where a run starts
-
-        self._writer = SummaryWriter(str(self.run / "tensorboard"), purge_step=self._purge_step)
+        self._writer = self._make_writer()
         if sys.stdout.isatty():
             from rich.live import Live
 
@@ -71,31 +100,46 @@ class Progress:
     def __exit__(self, *exception: Any) -> None:
         if self._live is not None:
             self._live.__exit__(*exception)
-        self._writer.close()
+        if self._writer is not None:
+            self._writer.close()
 
     def update(self, metrics: dict[str, float]) -> None:
         """Shows and stores one iteration."""
         self._shown.update(metrics)
         self._append(self._shown)
-        for name, value in metrics.items():
-            tag = name if "/" in name else f"train/{name}"
-            self._writer.add_scalar(tag, value, int(metrics["frames"]))
+        if self._writer is not None:
+            for name, value in metrics.items():
+                tag = name if "/" in name else f"train/{name}"
+                self._writer.add_scalar(tag, value, int(metrics["frames"]))
         if self._live is not None:
             self._live.update(self._table())
         elif time.monotonic() - self._last_line > _LINE_SECONDS:
             self._last_line = time.monotonic()
-            say(self._line())
+            say(self._line() if self._lines % _PAGE else f"{_HEAD}\n{self._line()}")
+            self._lines += 1
+
+    def _make_writer(self) -> Any:
+        """TensorBoard's; None where it cannot write: it knows no names of files that are no text in this locale."""
+        folder = str(self.run / "tensorboard")
+        try:
+            folder.encode()
+        except UnicodeEncodeError:
+            say("no TensorBoard log: this locale cannot spell the run folder; progress.csv holds the same")
+            return None
+        from torch.utils.tensorboard import SummaryWriter  # heavy: only where a run starts
+
+        return SummaryWriter(folder, purge_step=self._purge_step)
 
     def _keep_rows(self, frames: int) -> list[str]:
         """Drops the rows of iterations that the checkpoint has not seen; returns the columns."""
-        with self._csv_path.open(newline="") as file:
+        with self._csv_path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             columns = list(reader.fieldnames or [])
             if columns and "frames" not in columns:
                 raise InputError(f"{self._csv_path} is not the log of a run: it has no column 'frames'; move it away")
             whole = (row for row in reader if None not in row.values())  # a kill may have cut the last one
             rows = [row for row in whole if float(row["frames"]) <= frames]
-        with atomic(self._csv_path) as path, path.open("w", newline="") as file:
+        with atomic(self._csv_path) as path, path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, columns)
             writer.writeheader()
             writer.writerows(rows)
@@ -106,7 +150,7 @@ class Progress:
         if fresh:
             # a metric that the first batch lacks (no episode had ended) still gets its column
             self._fields = list(dict.fromkeys([*metrics, "episode_length", "episode_reward"]))
-        with naming(self._csv_path), self._csv_path.open("a", newline="") as file:
+        with naming(self._csv_path), self._csv_path.open("a", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, self._fields, extrasaction="ignore", restval="")
             if fresh:
                 writer.writeheader()
@@ -120,11 +164,11 @@ class Progress:
         return f"{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d}"
 
     def _rows(self) -> list[tuple[str, str]]:
-        rows = [(label, style.format(self._shown[k])) for k, label, style in _SHOWN if k in self._shown]
+        rows = [(each.label, each.style.format(self._shown[each.name])) for each in _SHOWN if each.name in self._shown]
         return [*rows, ("time left", self._left())]
 
     def _line(self) -> str:
-        return " | ".join(f"{label} {value}" for label, value in self._rows())
+        return "".join(shown.cell(self._shown) for shown in _SHOWN) + f" {self._left()}".rjust(_LEFT)
 
     def _table(self) -> Any:
         from rich.table import Table

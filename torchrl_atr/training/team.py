@@ -18,7 +18,7 @@ from torch import Tensor, distributed
 from torch.utils._pytree import tree_flatten, tree_unflatten
 
 from torchrl_atr._errors import UserError, first_line
-from torchrl_atr.training.interrupt import SIGNALS
+from torchrl_atr._interrupt import SIGNALS, signals_held
 
 _PATIENCE = timedelta(days=1)
 """How long a member waits for the others: the leader may be evaluated in between. A dead one is noticed at once."""
@@ -73,7 +73,8 @@ class Team:
         spawn = multiprocessing.get_context("spawn")
         atexit.register(team.disband)  # helpers outlive the SIGTERM that multiprocessing sends them then
         try:
-            with _signals_held():
+            resource_tracker.ensure_running()  # it lets signals through when it starts
+            with signals_held():  # helpers are not ended by what the leader is asked while they import
                 for rank in range(1, size):
                     process = spawn.Process(target=_join, args=(rank, size, store.port, helper, arguments), daemon=True)
                     process.start()
@@ -183,17 +184,6 @@ def _join(rank: int, size: int, port: int, helper: Callable[..., None], argument
         helper(team, *arguments)
     except TeamError:
         raise SystemExit(1) from None  # the leader is gone, or says so itself
-
-
-@contextmanager
-def _signals_held() -> Iterator[None]:
-    """Processes that are started meanwhile are not ended by what the leader is asked while they import."""
-    resource_tracker.ensure_running()  # it lets signals through when it starts
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _place(rank: int) -> str:

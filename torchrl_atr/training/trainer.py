@@ -5,20 +5,20 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable, Collection
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from torchrl_atr._files import say, sweep, write_json
+from torchrl_atr._interrupt import Interrupt
 from torchrl_atr.envs.models.identity import PARTS, describe, digest
 from torchrl_atr.modules import RidingNetworks, get_estimator
 from torchrl_atr.training.assembly import check_run_estimator, make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import CollectionError
 from torchrl_atr.training.config import ConfigError, TrainConfig
-from torchrl_atr.training.interrupt import Interrupt
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.member import DUMPS, Member, assist, env_maker, make_member, torch_threads
 from torchrl_atr.training.progress import Progress
@@ -29,6 +29,7 @@ from torchrl_atr.training.team import Team
 
 _MEMORY = 0.05
 """Weight of an iteration in the running mean of the episode reward."""
+_STOPPING = "stopping after this iteration; once more to stop at once"
 
 
 class Trainer:
@@ -120,7 +121,7 @@ class Trainer:
             The signal that ended it early, or None.
         """
         write_json(self.run / "config.json", stored_settings(self.config, self.run))
-        with Interrupt() as interrupt, self.threads:
+        with Interrupt(partial(say, _STOPPING)) as interrupt, self.threads:
             try:
                 _ = self.member  # other processes take a while: not part of the first iteration's time
                 self.save()
@@ -134,10 +135,7 @@ class Trainer:
                     raise
             finally:
                 self._close()
-        if interrupt.signal is None or self.finished:
-            return None
-        say(f"stopped; go on with: torchrl-atr train --resume {self.run}")
-        return interrupt.signal
+        return None if self.finished else interrupt.signal
 
     @cached_property
     def member(self) -> Member:

@@ -5,11 +5,12 @@ Adding a component is one entry in a table; sizes, slices and labels follow from
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
+from torchrl_atr.envs.models.robot import LEGS
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task.rotations import rotate_about, rotate_back
 from torchrl_atr.envs.task.state import CONTROL_DT, GRAVITY, RidingState
@@ -40,6 +41,16 @@ EXTRINSIC: dict[str, Callable[[RidingState], Tensor]] = {
     "relative_yaw": lambda state: state.relative_yaw,
 }
 """x_ext = [c, v_B, v_P, ω_P, p_B,xy in P, θ_B,z in P] by component (Table V's order)."""
+
+EXTRINSIC_LABELS: dict[str, tuple[str, Sequence[str], str]] = {
+    "contacts": ("contact", LEGS, "1"),
+    "body_velocity": ("body velocity", "xyz", "m/s"),
+    "platform_velocity": ("platform velocity", "xyz", "m/s"),
+    "platform_angular_velocity": ("platform angular velocity", "xyz", "rad/s"),
+    "relative_position": ("relative position", "xy", "m"),
+    "relative_yaw": ("relative yaw", ("",), "rad"),
+}
+"""What each component is called in tables, its parts, and its unit."""
 
 
 def dead_reckoning(velocity: Tensor, state: RidingState) -> Tensor:
@@ -76,6 +87,24 @@ def proprio(state: RidingState, previous_action: Tensor, readings: Readings) -> 
 def extrinsic_components(readings: Readings) -> tuple[str, ...]:
     """Names of x_ext's components: all of :data:`EXTRINSIC`, or without the relative pose (A1)."""
     return tuple(name for name in EXTRINSIC if readings.relative_pose or not name.startswith("relative"))
+
+
+def extrinsic_label(name: str) -> tuple[str, str | None]:
+    """Return what a state that is named like ``body_velocity[0]`` is called in tables, and its unit.
+
+    Another env's names stay as they are, without a unit.
+
+    Example:
+        >>> extrinsic_label("body_velocity[0]"), extrinsic_label("contacts[3]"), extrinsic_label("relative_yaw[0]")
+        (('body velocity x', 'm/s'), ('contact RL', '1'), ('relative yaw', 'rad'))
+        >>> extrinsic_label("wind[0]")
+        ('wind[0]', None)
+    """
+    component, _, index = name.removesuffix("]").partition("[")
+    label, parts, unit = EXTRINSIC_LABELS.get(component, ("", (), ""))
+    if not index.isdigit() or int(index) >= len(parts):
+        return name, None
+    return f"{label} {parts[int(index)]}".rstrip(), unit
 
 
 def extrinsic(state: RidingState, readings: Readings) -> Tensor:

@@ -1,0 +1,109 @@
+"""SIGINT and SIGTERM: a command ends at once and cleans up, a training run finishes its iteration first."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_REPEAT = 1.0
+"""Seconds in which further signals are the same request: timeout(1) sends two, a keyboard repeats."""
+
+
+class Stopped(KeyboardInterrupt):
+    """Raised in the main thread when a signal asks the process to stop; ``signal`` is its number."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.signal = number
+
+
+class Interrupt:
+    """Turns SIGINT and SIGTERM into :class:`Stopped`, or notes the first one and raises for the next.
+
+    A context manager for the main thread; in any other it leaves signals alone. One may stand inside another: the
+    inner one counts.
+
+    Args:
+        notice: called for the first signal, which is then only noted; None to raise for it, too.
+
+    Attributes:
+        signal: the number of the first signal that came, or None.
+
+    Example:
+        >>> with Interrupt(lambda: print("stopping after this iteration")) as interrupt:
+        ...     signal.raise_signal(signal.SIGTERM)
+        stopping after this iteration
+        >>> interrupt.signal == signal.SIGTERM
+        True
+        >>> try:
+        ...     with Interrupt():
+        ...         signal.raise_signal(signal.SIGINT)
+        ... except Stopped as stop:
+        ...     print(stop.signal)
+        2
+    """
+
+    def __init__(self, notice: Callable[[], object] | None = None) -> None:
+        self.notice = notice
+        self.signal: int | None = None
+        self._since = 0.0
+        self._previous: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Interrupt:
+        if threading.current_thread() is threading.main_thread():
+            self._previous = {number: signal.signal(number, self._handle) for number in SIGNALS}
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def mute(self) -> None:
+        """Let nothing interrupt the end of a process that has been stopped; the handlers before do not come back."""
+        for number in self._previous:
+            signal.signal(number, signal.SIG_IGN)
+        self._previous = {}
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        now, first = time.monotonic(), self.signal is None
+        if not first and now - self._since < _REPEAT:
+            return
+        self._since = now
+        if first:
+            self.signal = number
+        if not first or self.notice is None:
+            raise Stopped(number)
+        with suppress(RuntimeError):  # the signal came while the same stream was being written
+            self.notice()
+
+
+@contextmanager
+def signals_held(numbers: Iterable[signal.Signals] = SIGNALS) -> Iterator[None]:
+    """Start child processes in which these signals stay blocked; here they arrive afterwards, or in another thread.
+
+    A terminal sends Ctrl-C to children as well, who would die of it before this process has told them to end. A child
+    that is to be ended by one of the signals must not be started with that one held.
+
+    Args:
+        numbers: the signals.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end_children() -> None:
+    """Kill what :mod:`multiprocessing` has started and nobody has ended."""
+    if "multiprocessing" in sys.modules:
+        for process in sys.modules["multiprocessing"].active_children():
+            process.kill()
+            process.join()

@@ -1,0 +1,95 @@
+"""What commands write while they work and when they are done."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+from torchrl_atr._files import say
+from torchrl_atr._text import number
+
+if TYPE_CHECKING:
+    from torchrl_atr.evaluation import ReplayedStep
+
+_HEADLINES = {
+    "survival": "share",
+    "settled_speed_error_straight": "m/s",
+    "settled_speed_error": "m/s",
+    "settled_yaw_error": "rad/s",
+    "yaw_slope": "rad/s per rad/s",
+    "commands_mastered": "share",
+}
+"""Figures that ``evaluate`` prints, and their units."""
+_REPLAY = (("step", 8), ("v, m/s", 11), ("w, rad/s", 11), ("tilt, rad", 11), ("max |qvel|", 12), ("max |a|", 10))
+"""Columns of ``replay`` and their widths."""
+
+
+class StepCounter:
+    """Shows how many steps are done: in one line of a terminal, elsewhere in a line now and then.
+
+    Args:
+        what: goes on.
+        every: steps between two updates in a terminal; ten times as many elsewhere.
+
+    Example:
+        >>> with StepCounter("evaluating", every=1) as counter:
+        ...     for step in range(1, 11):
+        ...         counter(step, 20)
+        evaluating: 10 of 20 control steps
+    """
+
+    def __init__(self, what: str, every: int = 50) -> None:
+        self.what = what
+        self._redraws = sys.stdout.isatty()
+        self._every = every if self._redraws else 10 * every
+        self._open = False
+
+    def __call__(self, done: int, total: int) -> None:
+        """Takes note of ``done`` of ``total`` steps."""
+        if done % self._every == 0 or done == total:
+            text = f"{self.what}: {done} of {total} control steps"
+            say(f"\r{text}" if self._redraws else text, end="" if self._redraws else "\n")
+            self._open = self._redraws
+
+    def __enter__(self) -> StepCounter:
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        if self._open:
+            say("")
+
+
+def headlines(metrics: dict[str, Any]) -> Iterator[str]:
+    """Lines of the headline figures, beside those of a board that never moves, from which nobody falls."""
+    still = metrics["do_nothing"]
+    yield f"{'':40}{'ours':>10}{'still board':>14}"
+    for name, unit in _HEADLINES.items():
+        yield f"{f'{name}, {unit}':40}{number(metrics[name], 10, 3)} {number(still[name], 13, 3)}"
+
+
+def estimator_lines(errors: dict[str, Any] | None) -> Iterator[str]:
+    """Lines of Table V: the estimates' errors by component; none without estimates.
+
+    Args:
+        errors: ``estimator_errors`` of the metrics.
+    """
+    if errors is None:
+        return
+    yield f"{'estimation error, |estimate - truth|':40}{'mean':>10}{'std':>14}"
+    rows = [] if errors["latent"] is None else [errors["latent"]]
+    for row in [*rows, *errors["extrinsic"]]:
+        label = row["label"] if row["unit"] in (None, "1") else f"{row['label']}, {row['unit']}"
+        yield f"{label:40}{number(row['mean'], 10, 3)} {number(row['std'], 13, 3)}"
+
+
+def replay_head() -> str:
+    """The head of ``replay``'s columns."""
+    return "".join(f"{head:>{width}}" for head, width in _REPLAY)
+
+
+def replay_line(step: ReplayedStep) -> str:
+    """One step in ``replay``'s columns, which large values do not fill."""
+    values = (step.speed, step.yaw_rate, step.tilt, step.largest_velocity, step.largest_action)
+    cells = [f" {number(value, width - 1, 3)}" for value, (_, width) in zip(values, _REPLAY[1:])]
+    return f"{step.step:>{_REPLAY[0][1]}}{''.join(cells)}{'  failed' if step.diverged else ''}"
