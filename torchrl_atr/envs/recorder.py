@@ -39,7 +39,7 @@ class FlightRecorder:
     def __init__(self, task: RidingTask, scene: dict[str, Any], folder: Path, length: int = LENGTH) -> None:
         self.task, self.scene, self.folder, self.length = task, scene, folder, length
         self._rings = {name: np.zeros((length, *a.shape)) for name, a in task.engine.live_state.items()}
-        self._actions = torch.zeros(length, *task.previous_action.shape)
+        self._actions = torch.zeros(length, *task.previous_action.shape, dtype=torch.float32)
         self._noted = 0
 
     def note(self, action: Tensor) -> None:

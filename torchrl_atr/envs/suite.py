@@ -82,7 +82,7 @@ class SuiteTask(control.Task):
     def __init__(self, core: RidingTask, random: int | np.random.RandomState | None = None) -> None:
         self.core = core
         self._random = random if isinstance(random, np.random.RandomState) else np.random.RandomState(random)
-        self._command = torch.zeros(1, len(COMMAND_FEATURES))
+        self._command = torch.zeros(1, len(COMMAND_FEATURES), dtype=torch.float32)
         self._outcome: Outcome | None = None
 
     @property

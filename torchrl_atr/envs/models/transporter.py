@@ -179,8 +179,9 @@ def get_transporter(transporter: str | TransporterSpec, robot: RobotSpec) -> Tra
     """
     if isinstance(transporter, TransporterSpec):
         return transporter
+    known = [*DESIGNS, *TRANSPORTERS.names()]
+    if not isinstance(transporter, str) or transporter not in known:
+        raise unknown("transporter", transporter, known)
     if transporter in DESIGNS:
         return TRANSPORTERS.get(f"{transporter}_{robot.group.lower()}")
-    if transporter not in TRANSPORTERS.names():
-        raise unknown("transporter", transporter, [*DESIGNS, *TRANSPORTERS.names()])
     return TRANSPORTERS.get(transporter)

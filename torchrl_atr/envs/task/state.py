@@ -125,8 +125,8 @@ class StateReader:
         self._tilt_qpos, self._tilt_dof = columns(layout.tilt_qpos), columns(layout.tilt_dof)
         self._actuators = columns(layout.actuators)
         design = engine.scene.transporter.design  # both from hinge angles: (n, 2) @ (2, 2)
-        self._driving = torch.tensor(design.driving).T
-        self._roll_and_pitch = torch.tensor(design.attitude).flip(0).T
+        self._driving = torch.tensor(design.driving, dtype=torch.float32).T
+        self._roll_and_pitch = torch.tensor(design.attitude, dtype=torch.float32).flip(0).T
         qpos, qvel = self._simulation(slice(None))
         self._sizes = (3, 3, 3, len(layout.joint_dof))
         self.velocities = self._velocities(qvel, self._platform_euler(qpos))
