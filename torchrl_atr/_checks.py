@@ -18,7 +18,8 @@ def check_whole(name: str, value: Any, low: int | None = 0, high: int | None = N
     Args:
         name: of the argument, for the message.
         value: what was given; integers of NumPy count.
-        low, high: smallest and largest value; None for none.
+        low: smallest value; None for none.
+        high: largest value; None for none.
         optional: whether None is a value too, which is returned as it is.
 
     Raises:
@@ -49,7 +50,8 @@ def check_number(
     Args:
         name: of the argument, for the message.
         value: what was given; integers and numbers of NumPy count.
-        low, high: smallest and largest value.
+        low: smallest value.
+        high: largest value.
         above: what it must exceed; None for ``low`` alone.
 
     Raises:

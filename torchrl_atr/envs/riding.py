@@ -10,7 +10,7 @@ import mujoco
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Composite, Unbounded
+from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from torchrl_atr._checks import check_kind, check_whole
@@ -22,7 +22,7 @@ from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
 from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task import rewards
-from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
+from torchrl_atr.envs.task.core import ACTION_LIMIT, COMMAND_FEATURES, Outcome, RidingTask
 from torchrl_atr.envs.task.guard import as_float32, not_finite
 from torchrl_atr.envs.task.symmetry import reflections
 
@@ -68,6 +68,14 @@ class RidingEnv(EnvBase):
             ``seed``, for ``compiled`` without a compiler, and for an action or a command that is misshapen or not
             finite.
         KeyError: if a step lacks the action.
+
+    Actions are joint displacements in units of the robot's action scale: PD targets q0 + scale · action. Their spec is
+    bounded, ±:data:`~torchrl_atr.envs.task.core.ACTION_LIMIT`, for ``rand_action`` and squashed policies such as
+    ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. It is no clip: larger ones, as a Gaussian policy's may be,
+    are carried out as long as they are finite in float32, up to the joints' control ranges.
+
+    An env can be pickled and copied (``copy.deepcopy``), and goes on from there bit for bit. ``set_seed`` fixes
+    intrinsics, initial states and pushes, and the commands of a curriculum in front of it.
 
     Keys: ``action`` (N, 12) and ``command`` (N, 2) in; ``proprio`` (N, 44), ``command``, ``observation``
     (N, 46), ``odometry`` (N, 3), ``("privileged", "intrinsic")`` (N, 34), ``("privileged", "extrinsic")`` (N, 16),
@@ -181,7 +189,8 @@ class RidingEnv(EnvBase):
             observation["reward_terms", name] = values(1)
         self.observation_spec = observation
         self.state_spec = Composite(command=values(len(COMMAND_FEATURES)), shape=(n,))
-        self.action_spec = values(self.task.joints)
+        shape = (n, self.task.joints)
+        self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, shape, dtype=torch.float32)
         self.reward_spec = values(1)
         self.full_done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=(n,))
 
@@ -277,16 +286,19 @@ class RidingEnv(EnvBase):
 
         Raises:
             KeyError: if an entry is missing.
-            ValueError: if the number of robots or an entry's shape does not fit this env.
+            ValueError: if the number of robots or an entry's shape does not fit this env, or a number is not finite.
         """
         if state.batch_size != self.batch_size:
-            raise ValueError(f"the state is of {tuple(state.batch_size)} robots; this env has {tuple(self.batch_size)}")
+            raise InputError(f"the state is of {tuple(state.batch_size)} robots; this env has {tuple(self.batch_size)}")
+        if bad := not_finite({key: value for key, value in state.items(True, True) if value.ndim == 2}):
+            row, name = next(iter(bad.items()))
+            raise InputError(f"state entry {name!r} is not finite for env id {row}; give a state of get_state()")
         self.task.set_state(dict(state.exclude("emitted").items()))
         emitted = state.get("emitted", None)
         if emitted is None:
             self._emitted = self.task.observe(self._command(state))
         else:
-            self._emitted = {key: emitted[key].clone() for key in self._emitted}
+            self._emitted = {key: emitted[key].to(value.dtype, copy=True) for key, value in self._emitted.items()}
 
 
 def _nested(values: dict[Any, Tensor]) -> dict[str, Any]:

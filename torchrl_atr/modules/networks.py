@@ -17,6 +17,7 @@ from torchrl_atr._registry import nearest
 from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.critic import AsymmetricCritic
+from torchrl_atr.modules.dtype import default_dtype
 from torchrl_atr.modules.encoder import IntrinsicEncoder
 from torchrl_atr.modules.estimators import NormalizedEstimator, get_estimator
 from torchrl_atr.modules.keys import NetworkKeys
@@ -185,7 +186,7 @@ def make_networks(
     reflections: Mapping[NestedKey, Tensor] | None = None,
     keys: NetworkKeys | None = None,
 ) -> RidingNetworks:
-    """Build the networks of Table I for an env; every size is read from its specs.
+    """Build the networks of Table I for an env; sizes and the dtype, the observation's, are read from its specs.
 
     Args:
         observation_spec (Composite): must hold the observation (*B, O), the history (*B, H, O) and both
@@ -239,47 +240,48 @@ def make_networks(
         )
     factory, options = get_estimator(estimator), dict(estimator_kwargs or {})
     mirror = partial(_reflection, reflections)
-    obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
-    ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
-    odometry_norm, outlook_norm = (
-        RunningNormalizer(_shape(observation_spec, key, 1), reflection=mirror(key))
-        if key is not None and key in observation_spec.keys(True, True)
-        else None
-        for key in (keys.odometry, keys.outlook)
-    )
-    side = 0 if odometry_norm is None else odometry_norm.shape.numel()
-    return RidingNetworks(
-        obs_norm=obs_norm,
-        ext_norm=ext_norm,
-        encoder=IntrinsicEncoder(intrinsic, latent_features, reflection=mirror(keys.intrinsic)),
-        intrinsic_estimator=NormalizedEstimator(
-            factory(history_shape=history_shape, out_features=latent_features, **options), obs_norm
-        ),
-        extrinsic_estimator=NormalizedEstimator(
-            factory(history_shape=(history_shape[0], obs + side), out_features=extrinsic, **options),
-            obs_norm,
-            ext_norm,
-            odometry_norm,
-        ),
-        backbone=ActorBackbone(
-            obs_norm,
-            ext_norm,
-            latent_features,
-            actions,
-            actor_cells,
-            init_std,
-            min_std,
-            noise_basis,
-            products,
-            mirror(keys.action),
-        ),
-        critic=AsymmetricCritic(
-            obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm, intrinsic_reflection=mirror(keys.intrinsic)
+    with default_dtype(_entry(observation_spec, keys.observation).dtype):
+        obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
+        ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
+        odometry_norm, outlook_norm = (
+            RunningNormalizer(_shape(observation_spec, key, 1), reflection=mirror(key))
+            if key is not None and key in observation_spec.keys(True, True)
+            else None
+            for key in (keys.odometry, keys.outlook)
         )
-        if privileged_critic
-        else AsymmetricCritic(obs_norm, cells=critic_cells),
-        keys=keys,
-    )
+        side = 0 if odometry_norm is None else odometry_norm.shape.numel()
+        return RidingNetworks(
+            obs_norm=obs_norm,
+            ext_norm=ext_norm,
+            encoder=IntrinsicEncoder(intrinsic, latent_features, reflection=mirror(keys.intrinsic)),
+            intrinsic_estimator=NormalizedEstimator(
+                factory(history_shape=history_shape, out_features=latent_features, **options), obs_norm
+            ),
+            extrinsic_estimator=NormalizedEstimator(
+                factory(history_shape=(history_shape[0], obs + side), out_features=extrinsic, **options),
+                obs_norm,
+                ext_norm,
+                odometry_norm,
+            ),
+            backbone=ActorBackbone(
+                obs_norm,
+                ext_norm,
+                latent_features,
+                actions,
+                actor_cells,
+                init_std,
+                min_std,
+                noise_basis,
+                products,
+                mirror(keys.action),
+            ),
+            critic=AsymmetricCritic(
+                obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm, intrinsic_reflection=mirror(keys.intrinsic)
+            )
+            if privileged_critic
+            else AsymmetricCritic(obs_norm, cells=critic_cells),
+            keys=keys,
+        )
 
 
 def _reflection(reflections: Mapping[NestedKey, Tensor] | None, key: NestedKey) -> Tensor | None:
@@ -291,17 +293,23 @@ def _reflection(reflections: Mapping[NestedKey, Tensor] | None, key: NestedKey) 
     return reflections[key]
 
 
+def _entry(spec: TensorSpec, key: NestedKey) -> TensorSpec:
+    """Return ``spec[key]``, or ``spec`` itself if it is a leaf."""
+    if not isinstance(spec, Composite):
+        return spec
+    if key not in spec.keys(True, True):
+        entries = f"it has {', '.join(map(str, spec.keys()))}."
+        similar = nearest(str(key), map(str, spec.keys(True, True)), otherwise=entries)
+        raise KeyError(
+            f"The spec has no entry {key!r}; {similar} Add the transform that writes it, or pass "
+            "keys=NetworkKeys(...) with the env's own names."
+        )
+    return spec[key]
+
+
 def _shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
-    """Return the last ``ndim`` sizes of ``spec[key]`` (of ``spec`` itself if it is a leaf)."""
-    if isinstance(spec, Composite):
-        if key not in spec.keys(True, True):
-            entries = f"it has {', '.join(map(str, spec.keys()))}."
-            similar = nearest(str(key), map(str, spec.keys(True, True)), otherwise=entries)
-            raise KeyError(
-                f"The spec has no entry {key!r}; {similar} Add the transform that writes it, or pass "
-                "keys=NetworkKeys(...) with the env's own names."
-            )
-        spec = spec[key]
+    """Return the last ``ndim`` sizes of an entry."""
+    spec = _entry(spec, key)
     if len(spec.shape) < ndim:
         raise ValueError(f"The spec of {key!r} needs at least {ndim} dimension(s), got {tuple(spec.shape)}.")
     return tuple(spec.shape[-ndim:])

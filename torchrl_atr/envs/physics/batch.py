@@ -35,6 +35,7 @@ class BatchEngine(Engine):
     def __init__(self, scene: Scene, num_envs: int, readings: Readings, num_threads: int | None = None) -> None:
         super().__init__(scene, num_envs, readings)
         threads = check_whole("num_threads", num_threads, low=1, optional=True) or available_cpus()
+        self._num_threads = num_threads
         self.batch = mujoco.batch.Batch(scene.model, num_envs, nthread=threads)
         bind, expand = self.batch.bind, self.batch.expand
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
@@ -74,3 +75,10 @@ class BatchEngine(Engine):
         """See :class:`Engine`."""
         self._sense(True)
         self.batch.forward()
+
+    @property
+    def _arguments(self) -> tuple[Scene, int, Readings, int | None]:
+        return self.scene, self.num_envs, self.readings, self._num_threads
+
+    def _set_time(self, time: Array) -> None:
+        self.time[...] = time

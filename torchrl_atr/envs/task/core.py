@@ -12,17 +12,25 @@ from torch import Tensor
 
 from torchrl_atr._checks import check_choice, check_flag, check_number
 from torchrl_atr._compilation import compile_methods
+from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task import disturbances, observations, rewards
 from torchrl_atr.envs.task import randomization as intrinsics
-from torchrl_atr.envs.task.guard import all_finite, as_float32
+from torchrl_atr.envs.task.guard import all_finite, as_float32, bad_rows
 from torchrl_atr.envs.task.outlook import outlook
 from torchrl_atr.envs.task.rotations import rotate_back
 from torchrl_atr.envs.task.state import CONTROL_DT, Readout, RidingState, StateReader
 from torchrl_atr.envs.task.terminations import fallen
 
+ACTION_LIMIT = 3.0
+"""Bounds of the action specs, in units of the action scale: with 0.25 rad a unit, joint targets of q0 ± 0.75 rad.
+
+The same for all joints, so that 0, the stand, is the middle of a squashed policy's range and left is right's mirror
+image; the committed A1 policy stays within it in 99 of 100 steps. Beyond it, actions are carried out as they are; the
+model clips joint targets at its control ranges, wherever they come from.
+"""
 COMMAND_FEATURES = ("speed", "yaw_rate")
 """What a command asks for: forward speed, m/s, and yaw rate, rad/s."""
 
@@ -103,10 +111,22 @@ class RidingTask:
         self.previous_action = torch.zeros(n, self.joints, dtype=torch.float32)
         self.odometry = torch.zeros(n, 3, dtype=torch.float32)
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
-        if compiled:
+        self.compiled = compiled
+        self._compile()
+        self.begin(np.arange(n))
+
+    def _compile(self) -> None:
+        if self.compiled:
             compile_methods(self, "_assess", short=True)
             compile_methods(self, "_open", short=True, any_rows=True)  # any number of robots begins
-        self.begin(np.arange(n))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but compiled functions, which cannot be pickled: a copy compiles its own."""
+        return {name: value for name, value in vars(self).items() if name not in ("_assess", "_open")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._compile()
 
     @keeps_normal_tensors
     @torch.no_grad()
@@ -267,15 +287,12 @@ class RidingTask:
 
     def get_state(self) -> dict[str, Tensor]:
         """Simulation state (float64) and bookkeeping, copied."""
-        own = {
-            "x_int": self.x_int,
-            "previous_action": self.previous_action,
-            "odometry": self.odometry,
-            "steps": self.steps,
-            "fell": self.fell,
-        }
         simulation = {name: torch.from_numpy(value) for name, value in self.engine.get_state().items()}
-        return {**simulation, **{name: value.clone() for name, value in own.items()}}
+        return {**simulation, **{name: value.clone() for name, value in self._bookkeeping().items()}}
+
+    def _bookkeeping(self) -> dict[str, Tensor]:
+        names = ("x_int", "previous_action", "odometry", "steps", "fell")
+        return {name: getattr(self, name) for name in names}
 
     @keeps_normal_tensors
     def set_state(self, state: dict[str, Tensor]) -> None:
@@ -291,9 +308,11 @@ class RidingTask:
             if state[name].shape != value.shape:
                 got, needed = tuple(state[name].shape), tuple(value.shape)
                 raise ValueError(f"state entry {name!r} has shape {got}; this env needs {needed}")
-        self.x_int, self.previous_action = state["x_int"].clone(), state["previous_action"].clone()
-        self.odometry, self.steps = state["odometry"].clone(), state["steps"].clone()
-        self.fell = state["fell"].clone()
+        own = {name: state[name].to(value.dtype, copy=True) for name, value in self._bookkeeping().items()}
+        for name in ("x_int", "previous_action", "odometry"):
+            if bad := bad_rows(own[name]):
+                raise InputError(f"state entry {name!r} is not finite in float32 for env ids {bad[:8]}; correct it")
+        vars(self).update(own)
         arrays = {name: value.numpy() for name, value in state.items()}
         parameters = intrinsics.physical_parameters(self.x_int, self.scene, self.readings)
         self.engine.reset(np.arange(self.engine.num_envs), arrays["qpos"], arrays["qvel"], parameters)
