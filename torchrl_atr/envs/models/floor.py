@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-_TILES = 50
+_TILES = 25
 """Repetitions of the texture after which positions begin anew: near enough for OpenGL's float32, seldom enough."""
 
 
@@ -21,11 +21,11 @@ def floor_period(model: mujoco.MjModel) -> float:
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
         >>> floor_period(build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1")).model)
-        2.0
+        4.0
     """
     materials = [model.geom_matid[plane] for plane in floor_planes(model) if model.geom_matid[plane] >= 0]
     repeats = [float(model.mat_texrepeat[i, 0]) for i in materials if model.mat_texuniform[i]]
-    return 1.0 / repeats[0] if repeats else 1.0
+    return 2.0 / repeats[0] if repeats else 2.0  # MuJoCo's texture coordinates on a plane run from -1 to 1
 
 
 def near_origin(position: ArrayLike, period: float) -> NDArray[np.float64]:
@@ -36,10 +36,10 @@ def near_origin(position: ArrayLike, period: float) -> NDArray[np.float64]:
         period: of the floor, m.
 
     Returns:
-        (*B, 2): the position less a multiple of 50 periods, within 25 of them.
+        (*B, 2): the position less a multiple of 25 periods, within half of that.
 
     Example:
-        >>> near_origin([30.0, -1003.5], 2.0).tolist()
+        >>> near_origin([30.0, -1003.5], 4.0).tolist()
         [30.0, -3.5]
     """
     span = _TILES * period

@@ -107,6 +107,8 @@ class DmControlEngine(Engine):
     def _place_floor(self) -> None:
         """Moves the floor under the board, backwards: whoever renders this physics sees how far it rode."""
         origin = self.scene.model.geom_pos[self._floor, :2]
+        # mj_setConst notes what stands at its body's origin, and MuJoCo then looks at its place no more
+        self._model.geom_sameframe[self._floor] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._model.geom_pos[self._floor, :2] = origin - near_origin(self.odometer, self._period)
 
     def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
