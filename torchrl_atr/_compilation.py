@@ -67,7 +67,7 @@ def _with_any_rows(compiled: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def compile_methods(owner: object, *names: str, **how: bool) -> None:
-    """Compiles methods of one object, in place; it cannot be pickled any more. See :func:`compile_function`."""
+    """Compiles methods of one object, in place; pickling has to leave them out. See :func:`compile_function`."""
     for name in names:
         setattr(owner, name, compile_function(getattr(owner, name), **how))
 

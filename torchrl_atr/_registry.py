@@ -103,7 +103,7 @@ class Registry(Generic[T]):
         Raises:
             UnknownNameError: if there is none; lists the names there are.
         """
-        if name not in self._entries:
+        if not isinstance(name, str) or name not in self._entries:
             raise unknown(self.kind, name, self._entries, self.hint)
         return self._entries[name]
 

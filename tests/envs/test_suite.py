@@ -52,13 +52,11 @@ def test_torchrls_own_wrapper_takes_it():
     assert env.rollout(3)["next", "privileged_intrinsic"].shape == (3, 34)
 
 
-def test_action_bounds_are_where_the_joints_targets_end():
-    environment = suite.load(random=0)
-    scene, spec = environment.task.core.scene, environment.action_spec()
-    for bound, column in ((spec.minimum, 0), (spec.maximum, 1)):
-        target = np.array(scene.robot.q0) + scene.robot.action_scale * bound
-        limits = [scene.model.joint(joint).range[column] for joint in scene.robot.joints]
-        np.testing.assert_allclose(target, limits)
+def test_action_bounds_are_those_of_riding_env():
+    spec = suite.load(random=0).action_spec()
+    env = RidingEnv(num_envs=1, seed=0, num_threads=1)
+    np.testing.assert_array_equal(np.broadcast_to(spec.minimum, spec.shape), env.action_spec.space.low[0])
+    np.testing.assert_array_equal(np.broadcast_to(spec.maximum, spec.shape), env.action_spec.space.high[0])
 
 
 def test_it_is_the_task_that_riding_env_asks():
@@ -147,3 +145,18 @@ def test_bad_input_is_named():
         environment.step(np.full(12, np.nan))
     with pytest.raises(ValueError, match=r"'action' has shape \(1, 11\)"):
         environment.step(np.zeros(11))
+
+
+def test_the_floor_moves_back_under_a_board_that_rides():
+    environment = suite.load(random=0, pushes=False)
+    environment.reset()
+    engine = environment.task.core.engine
+    floor = environment.physics.model.name2id("floor", "geom")
+    engine.speeds[:], engine.odometer[:] = (2.0, 0.0), (1e4 + 0.3, 0.0)
+    for _ in range(5):
+        environment.step(np.zeros(12))
+    moved = engine.odometer[0] - (1e4, 0.0)
+    assert moved[0] > 0.4
+    np.testing.assert_allclose(environment.physics.data.geom_xpos[floor, :2], -moved, atol=1e-9)
+    environment.reset()
+    np.testing.assert_array_equal(environment.physics.data.geom_xpos[floor, :2], [0.0, 0.0])

@@ -111,6 +111,27 @@ def test_the_floor_moves_and_the_board_stays_in_the_middle(env, picture):
     assert (np.abs(before - after).sum(-1) > 20).mean() > 0.05
 
 
+@pytest.mark.parametrize("far", [(4.0, 0.0), (48.0, -52.0), (200.0, 0.0), (1e3, -404.0), (1e5, 3e4)])
+def test_far_away_the_picture_is_the_same(env, picture, far):
+    """The floor repeats every 4 m: whole tiles further on, from the first picture there, nothing has changed."""
+
+    def differs(image: np.ndarray) -> float:
+        return float((np.abs(near - image.astype(int)).sum(-1) > 15).mean())
+
+    near = picture.render().astype(int)
+    env.base_env.engine.odometer[0] += far
+    assert differs(picture.render()) < 1e-3
+    env.base_env.engine.odometer[0] += [2.0, 0.0]  # half of it: light and dark change places
+    assert differs(picture.render()) > 0.3
+
+
+def test_the_mirror_stays_near_the_origin(env):
+    engine = env.base_env.engine
+    engine.odometer[1] = [12_345.5, -1e6 - 0.25]
+    x, y, _ = Mirror(env, row=1).pose()
+    np.testing.assert_allclose([x, y], [45.5, -0.25], atol=0.1)
+
+
 @pytest.mark.parametrize("suffix", [".mp4", ".gif"])
 def test_a_video_of_five_frames(suffix, env, stand, picture, tmp_path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")

@@ -56,7 +56,8 @@ def make_riding_env(
         pushes: whether robot and platform are pushed every 3 s.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         retry: share of the falls after which the same robot tries again with its intrinsics (for training).
-        seed: of env and curriculum alike, since ``env.set_seed`` does not reach transforms.
+        seed: of env and curriculum alike, as ``env.set_seed`` sets both. Copies made with the same seed ride
+            alike; those of a ``SerialEnv``, ``ParallelEnv`` or collector get different ones from its ``set_seed``.
         dump_dir: where the last half second of a simulation that failed is written; None for nowhere.
         compiled: see :class:`RidingEnv`.
         history_length: H, past observations that the estimators read.
@@ -75,6 +76,7 @@ def make_riding_env(
 
     Raises:
         TypeError: for an argument that neither this function nor the curriculum has.
+        ValueError: for a value that is impossible or of the wrong kind.
 
     Example:
         >>> env = make_riding_env(num_envs=2, seed=0)

@@ -177,8 +177,11 @@ class Readings:
     )
 
     def __post_init__(self) -> None:
-        for name, point in points().items():
-            value = getattr(self, name)
+        for field in dataclasses.fields(self):
+            name, point, value = field.name, field.metadata["point"], getattr(self, field.name)
+            switch = isinstance(field.default, bool)
+            if switch != isinstance(value, bool) or not isinstance(value, int | float):
+                raise ReadingError(f"reading {name}={value!r}: choose {'True or False' if switch else 'a number'}")
             if not point.low <= value <= point.high:
                 raise ReadingError(
                     f"reading {name}={value!r} is out of range; choose a value in [{point.low:g}, {point.high:g}]"

@@ -42,7 +42,7 @@ class FlightRecorder:
         self.task, self.folder, self.length = task, folder, length
         self.scene = {**scene, **{name: _portable(scene[name], folder) for name in COPIES}}
         self._rings = {name: np.zeros((length, *a.shape)) for name, a in task.engine.live_state.items()}
-        self._actions = torch.zeros(length, *task.previous_action.shape)
+        self._actions = torch.zeros(length, *task.previous_action.shape, dtype=torch.float32)
         self._noted = 0
 
     def note(self, action: Tensor) -> None:

@@ -10,18 +10,20 @@ import mujoco
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Composite, Unbounded
+from torchrl.data import Binary, Bounded, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from torchrl_atr._checks import check_kind, check_whole
 from torchrl_atr._errors import InputError
+from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.models import RobotSpec, Scene, TransporterSpec, build_scene, get_robot, get_transporter
 from torchrl_atr.envs.physics.engine import DECIMATION, Engine
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
 from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task import rewards
-from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
-from torchrl_atr.envs.task.guard import bad_rows, not_finite
+from torchrl_atr.envs.task.core import ACTION_LIMIT, COMMAND_FEATURES, Outcome, RidingTask
+from torchrl_atr.envs.task.guard import as_float32, not_finite
 from torchrl_atr.envs.task.symmetry import reflections
 
 _LOGGED = 20
@@ -68,6 +70,14 @@ class RidingEnv(EnvBase):
             finite.
         KeyError: if a step lacks the action.
 
+    Actions are joint displacements in units of the robot's action scale: PD targets q0 + scale · action. Their spec is
+    bounded, ±:data:`~torchrl_atr.envs.task.core.ACTION_LIMIT`, for ``rand_action`` and squashed policies such as
+    ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. It is no clip: larger ones, as a Gaussian policy's may be,
+    are carried out as long as they are finite in float32, up to the joints' control ranges.
+
+    An env can be pickled and copied (``copy.deepcopy``), and goes on from there bit for bit. ``set_seed`` fixes
+    intrinsics, initial states and pushes, and the commands of a curriculum in front of it.
+
     Keys: ``action`` (N, 12) and ``command`` (N, 2) in; ``proprio`` (N, 44), ``command``, ``observation``
     (N, 46), ``odometry`` (N, 3), ``("privileged", "intrinsic")`` (N, 34), ``("privileged", "extrinsic")`` (N, 16),
     ``("privileged", "outlook")`` (N, 14), ``speeds`` (N, 2), the forward speed and yaw rate that answer the command,
@@ -83,6 +93,7 @@ class RidingEnv(EnvBase):
     batch_locked = True
     _has_frame_skip = True  # no attribute of ours may be taken for a frame skip
 
+    @keeps_normal_tensors
     def __init__(
         self,
         robot: str | Path | RobotSpec = "a1",
@@ -99,10 +110,9 @@ class RidingEnv(EnvBase):
         dump_dir: str | Path | None = None,
         compiled: bool = False,
     ) -> None:
-        if not isinstance(num_envs, int) or num_envs < 1:
-            raise InputError(f"num_envs={num_envs!r}: choose a whole number of robots, 1 or more")
-        if seed is not None and not 0 <= seed < 2**63:
-            raise InputError(f"seed={seed!r}: choose a whole number, 0 or more, or None")
+        num_envs = check_whole("num_envs", num_envs, low=1)
+        seed = check_whole("seed", seed, high=2**63 - 1, optional=True)
+        check_kind("dump_dir", dump_dir, (str, Path), "the path of a folder", optional=True)
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
         readings = get_readings(profile)
         rider = get_robot(robot)
@@ -111,13 +121,14 @@ class RidingEnv(EnvBase):
         if seed is None:
             self.rng.seed()  # from the operating system: forked workers must not share intrinsics
         else:
-            self.set_seed(seed)
+            self.rng.manual_seed(seed)
+        self.seeding: tuple[int, int] | None = None  # how often set_seed was called, and its last seed: transforms look
         engine = _make_engine(physics, scene, readings, num_envs, num_threads)
         self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start, retry, compiled)
         self._recorder = None
         if dump_dir is not None:
             self._recorder = FlightRecorder(self.task, describe_scene(self.task, robot), Path(dump_dir))
-        self._emitted = self.task.observe(torch.zeros(num_envs, len(COMMAND_FEATURES)))
+        self._emitted = self.task.observe(self._command(None))
         self._make_specs()
 
     @property
@@ -179,14 +190,20 @@ class RidingEnv(EnvBase):
             observation["reward_terms", name] = values(1)
         self.observation_spec = observation
         self.state_spec = Composite(command=values(len(COMMAND_FEATURES)), shape=(n,))
-        self.action_spec = values(self.task.joints)
+        shape = (n, self.task.joints)
+        self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, shape, dtype=torch.float32)
         self.reward_spec = values(1)
         self.full_done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=(n,))
 
+    @keeps_normal_tensors
     def _set_seed(self, seed: int | None) -> None:
-        if seed is not None:
-            self.rng.manual_seed(int(seed))
+        if seed is None:
+            return
+        self.rng.manual_seed(check_whole("seed", seed, high=2**63 - 1))
+        self.seeding = (1 if self.seeding is None else self.seeding[0] + 1), int(seed)
+        self.task.fell = torch.zeros_like(self.task.fell)  # who fell before the seed does not try again
 
+    @keeps_normal_tensors
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         n = self.batch_size[0]
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -198,6 +215,7 @@ class RidingEnv(EnvBase):
                 self._emitted[key] = self._emitted[key].index_copy(0, index, value)
         return self._pack(terminated=torch.zeros(n, dtype=torch.bool))
 
+    @keeps_normal_tensors
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         command = self._command(tensordict)
         action = tensordict.get("action", None)
@@ -236,17 +254,13 @@ class RidingEnv(EnvBase):
         shape = (*self.batch_size, len(COMMAND_FEATURES))
         command = None if tensordict is None else tensordict.get("command", None)
         if command is None:
-            return torch.zeros(shape)
-        if command.shape != torch.Size(shape):
-            raise ValueError(f"'command' has shape {tuple(command.shape)}; this env needs {shape}: (c_v, c_omega)")
-        if bad := bad_rows(command):
-            raise ValueError(f"'command' is not finite for env ids {bad[:8]}; give m/s and rad/s")
-        return command.to(torch.float32)
+            return torch.zeros(shape, dtype=torch.float32)
+        return as_float32("command", command, shape, "(c_v, c_omega)", "give m/s and rad/s")
 
     def _pack(self, terminated: Tensor, terms: dict[str, Tensor] | None = None, **more: Tensor) -> TensorDict:
         """What was observed last, with reward terms (None for zero), flags and ``more``."""
         terminated, names = terminated.unsqueeze(-1), rewards.REWARD_TERMS
-        terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape).unbind()))
+        terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape, dtype=torch.float32).unbind()))
         flags = {
             "terminated": terminated,
             "truncated": torch.zeros_like(terminated),
@@ -264,6 +278,7 @@ class RidingEnv(EnvBase):
         state = {**self.task.get_state(), "emitted": _nested(self._emitted)}
         return TensorDict(state, batch_size=self.batch_size).clone()
 
+    @keeps_normal_tensors
     def set_state(self, state: TensorDictBase) -> None:
         """Restores a state of :meth:`get_state`: intrinsic parameters, simulation state and bookkeeping.
 
@@ -272,16 +287,19 @@ class RidingEnv(EnvBase):
 
         Raises:
             KeyError: if an entry is missing.
-            ValueError: if the number of robots or an entry's shape does not fit this env.
+            ValueError: if the number of robots or an entry's shape does not fit this env, or a number is not finite.
         """
         if state.batch_size != self.batch_size:
-            raise ValueError(f"the state is of {tuple(state.batch_size)} robots; this env has {tuple(self.batch_size)}")
+            raise InputError(f"the state is of {tuple(state.batch_size)} robots; this env has {tuple(self.batch_size)}")
+        if bad := not_finite({key: value for key, value in state.items(True, True) if value.ndim == 2}):
+            row, name = next(iter(bad.items()))
+            raise InputError(f"state entry {name!r} is not finite for env id {row}; give a state of get_state()")
         self.task.set_state(dict(state.exclude("emitted").items()))
         emitted = state.get("emitted", None)
         if emitted is None:
             self._emitted = self.task.observe(self._command(state))
         else:
-            self._emitted = {key: emitted[key].clone() for key in self._emitted}
+            self._emitted = {key: emitted[key].to(value.dtype, copy=True) for key, value in self._emitted.items()}
 
 
 def _nested(values: dict[Any, Tensor]) -> dict[str, Any]:
@@ -302,8 +320,8 @@ def _make_engine(physics: str, scene: Scene, readings: Readings, num_envs: int, 
         return BatchEngine(scene, num_envs, readings, num_threads)
     if physics == "dm_control":
         if num_envs != 1:
-            raise ValueError(f"physics='dm_control' simulates one robot; num_envs={num_envs} needs physics='batch'")
+            raise InputError(f"physics='dm_control' simulates one robot; num_envs={num_envs} needs physics='batch'")
         from torchrl_atr.envs.physics.dmc import DmControlEngine  # slow to import: never on the training path
 
         return DmControlEngine(scene, readings)
-    raise ValueError(f"unknown physics {physics!r}; choose 'batch' or 'dm_control'")
+    raise InputError(f"unknown physics {physics!r}; choose 'batch' or 'dm_control'")

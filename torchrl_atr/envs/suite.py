@@ -9,11 +9,12 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from torchrl_atr._checks import check_number
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec, build_scene, get_robot, get_transporter
 from torchrl_atr.envs.physics.dmc import DmControlEngine, RidingPhysics
 from torchrl_atr.envs.physics.engine import DECIMATION
 from torchrl_atr.envs.profiles import Readings, get_readings
-from torchrl_atr.envs.task.core import COMMAND_FEATURES, Outcome, RidingTask
+from torchrl_atr.envs.task.core import ACTION_LIMIT, COMMAND_FEATURES, Outcome, RidingTask
 from torchrl_atr.envs.task.randomization import Randomization
 
 from dm_control.rl import control  # isort: skip  # after dmc, which says what to install
@@ -56,6 +57,7 @@ def load(
         >>> environment.reset().observation["command"].tolist()
         [0.5, 0.0]
     """
+    check_number("time_limit", time_limit, above=0.0)
     readings = get_readings(profile)
     rider = get_robot(robot)
     scene = build_scene(rider, get_transporter(transporter, rider), readings)
@@ -70,8 +72,8 @@ class SuiteTask(control.Task):
 
     Observations are flat float32 arrays: ``proprio``, ``command``, ``observation`` (the two joined), ``odometry``;
     and, not for a policy, ``speeds``, ``privileged_intrinsic``, ``privileged_extrinsic`` and ``privileged_outlook``.
-    Early termination has discount 0. Actions are bounded by what the joints' control ranges let through, to which
-    ``RidingEnv`` clips instead.
+    Early termination has discount 0. Actions are bounded as those of ``RidingEnv`` are; larger ones are carried out up
+    to the joints' control ranges.
 
     Args:
         core: the task over a :class:`~torchrl_atr.envs.physics.dmc.DmControlEngine`.
@@ -84,7 +86,7 @@ class SuiteTask(control.Task):
     def __init__(self, core: RidingTask, random: int | np.random.RandomState | None = None) -> None:
         self.core = core
         self._random = random if isinstance(random, np.random.RandomState) else np.random.RandomState(random)
-        self._command = torch.zeros(1, len(COMMAND_FEATURES))
+        self._command = torch.zeros(1, len(COMMAND_FEATURES), dtype=torch.float32)
         self._outcome: Outcome | None = None
 
     @property
@@ -94,7 +96,8 @@ class SuiteTask(control.Task):
 
     @command.setter
     def command(self, value: ArrayLike) -> None:
-        command = torch.as_tensor(np.asarray(value, dtype=np.float32)).reshape(1, -1)
+        with np.errstate(over="ignore"):  # it becomes an infinity, which is refused
+            command = torch.as_tensor(np.asarray(value, dtype=np.float32)).reshape(1, -1)
         if command.shape != self._command.shape or not torch.isfinite(command).all():
             names = ", ".join(COMMAND_FEATURES)
             raise ValueError(f"command={value!r}: give {len(COMMAND_FEATURES)} finite numbers, ({names})")
@@ -113,18 +116,15 @@ class SuiteTask(control.Task):
 
     def before_step(self, action: ArrayLike, physics: RidingPhysics) -> None:
         """Pushes that are due and the joint targets."""
-        self.core.act(torch.as_tensor(np.array(action, dtype=np.float32)).reshape(1, -1))
+        self.core.act(torch.as_tensor(np.array(action)).reshape(1, -1))
 
     def after_step(self, physics: RidingPhysics) -> None:
         """Rewards and terminations, once per control step."""
         self._outcome = self.core.judge(self._command)
 
     def action_spec(self, physics: RidingPhysics) -> specs.BoundedArray:
-        """Joint displacements in units of the action scale, within what the control ranges let through."""
-        scene = self.core.scene
-        limits = scene.model.actuator_ctrlrange[scene.layout.actuators]
-        low, high = (limits - np.array(scene.robot.q0)[:, None]).T / scene.robot.action_scale
-        return specs.BoundedArray(low.shape, np.float64, low, high, name="action")
+        """Joint displacements in units of the action scale, in the range of ``RidingEnv``'s spec."""
+        return specs.BoundedArray((self.core.joints,), np.float64, -ACTION_LIMIT, ACTION_LIMIT, name="action")
 
     def get_observation(self, physics: RidingPhysics) -> dict[str, NDArray[np.float32]]:
         """Flat names, one array each."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import ctypes.util
 import importlib
+import math
 import os
 import sys
 import warnings
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from torchrl.envs import EnvBase
 
 from torchrl_atr._errors import InputError, UserError
+from torchrl_atr.envs.models.floor import floor_period, near_origin
 from torchrl_atr.evaluation.access import base_env
 
 CHASE = "chase"
@@ -66,8 +68,8 @@ def _make_contexts(model: mujoco.MjModel, size: tuple[int, int]) -> tuple[Any, m
 class Picture:
     """Renders one robot of a riding env; a context manager.
 
-    The env keeps board and robot near the origin; here the board's odometer is added back, so that it moves
-    over the floor.
+    The env keeps board and robot at the origin; here the board's odometer is added back, so that it moves over the
+    floor, which is the same however far it rode: see :class:`Mirror`.
 
     Args:
         env: a RidingEnv, transformed or not.
@@ -126,6 +128,7 @@ class Picture:
         model, data = self._mirror.model, self._mirror.data
         self._context.make_current()
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateCamera(model, data, self._camera, self._scene)  # the floor is laid out around the last camera
         mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, self._scene)
         mujoco.mjr_render(self._viewport, self._scene, self._mjr)
         if text:
@@ -139,7 +142,8 @@ class Picture:
         x, y, heading = self._mirror.pose()
         if self._heading is None:
             self._heading = heading
-        self._heading += (heading - self._heading) * min(1.0, dt / _TURNING_TIME)
+        behind = math.remainder(heading - self._heading, math.tau)  # a reset, or a state of one's own, may turn it back
+        self._heading += behind * min(1.0, dt / _TURNING_TIME)
         self._camera.lookat[:] = [x, y, 0.3]
         self._camera.azimuth = np.degrees(self._heading) + 35.0
 
@@ -160,7 +164,10 @@ class Picture:
 
 
 class Mirror:
-    """A MuJoCo model and data of our own that show one robot of an env, where its odometer says it is.
+    """A MuJoCo model and data of our own that show one robot of an env, where its odometer says it is on the floor.
+
+    Positions are those of the odometer less a whole number of the floor's tiles, within 50 m of the origin: the
+    picture is the same, and float32, in which OpenGL computes, does not jitter after kilometres.
 
     Args:
         env: a RidingEnv, transformed or not; either engine.
@@ -180,20 +187,22 @@ class Mirror:
         # the shadow map covers the extent: of the board alone, its edge would run through the picture
         self.model.stat.extent, self.model.vis.quality.shadowsize = 3.0, 2048
         self.data = mujoco.MjData(self.model)
+        self._period = floor_period(self.model)
         self.update()
 
     def update(self) -> None:
         """Copies the robot's configuration from the env."""
         layout, engine = self.engine.scene.layout, self.engine
         self.data.qpos[:] = engine.qpos[self.row]
+        place = near_origin(engine.odometer[self.row], self._period)
         for x_address in (layout.planar_qpos[0], layout.root_qpos):
-            self.data.qpos[x_address : x_address + 2] += engine.odometer[self.row]
+            self.data.qpos[x_address : x_address + 2] += place
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         self.data.light_xpos[:, :2] += self.pose()[:2]  # the light goes along, or shadows would be left behind
 
     def pose(self) -> tuple[float, float, float]:
-        """Position (m) and heading (rad, not wrapped) of the board."""
+        """Position (m, less a whole number of tiles) and heading (rad, not wrapped) of the board in the picture."""
         x, y, heading = self.data.qpos[self.engine.scene.layout.planar_qpos]
         return float(x), float(y), float(heading)

@@ -37,11 +37,12 @@ def leg_synergies(joints: int = 3) -> Tensor:
 
 
 def check_basis(basis: Tensor, actions: int) -> Tensor:
-    """Return ``basis`` if it is orthonormal, (actions, actions).
+    """Return ``basis``, in the default dtype, if it is orthonormal, (actions, actions).
 
     Raises:
         ValueError: if it is not.
     """
+    basis = basis.to(torch.get_default_dtype())
     if basis.shape != (actions, actions) or not torch.allclose(basis.T @ basis, torch.eye(actions), atol=1e-5):
         raise ValueError(f"A noise basis needs {actions} orthonormal columns of {actions}, got {tuple(basis.shape)}.")
     return basis

@@ -16,11 +16,12 @@ from torchrl.modules import ProbabilisticActor, ValueOperator
 from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.critic import AsymmetricCritic
+from torchrl_atr.modules.dtype import default_dtype
 from torchrl_atr.modules.encoder import IntrinsicEncoder
 from torchrl_atr.modules.estimators import NormalizedEstimator, build_estimator, get_estimator
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
-from torchrl_atr.modules.sizes import entry_shape, estimator_sizes
+from torchrl_atr.modules.sizes import entry, entry_shape, estimator_sizes
 
 
 class RidingNetworks(nn.Module):
@@ -191,7 +192,7 @@ def make_networks(
     reflections: Mapping[NestedKey, Tensor] | None = None,
     keys: NetworkKeys | None = None,
 ) -> RidingNetworks:
-    """Build the networks of Table I for an env; every size is read from its specs.
+    """Build the networks of Table I for an env; sizes and the dtype, the observation's, are read from its specs.
 
     Args:
         observation_spec (Composite): must hold the observation (*B, O), the history (*B, H, O) and both
@@ -247,46 +248,47 @@ def make_networks(
     make_estimator = partial(build_estimator, get_estimator(estimator), **dict(estimator_kwargs or {}))
     sizes = estimator_sizes(observation_spec, latent_features, keys)
     mirror = partial(_reflection, reflections)
-    obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
-    ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
-    odometry_norm, outlook_norm = (
-        RunningNormalizer(entry_shape(observation_spec, key, 1), reflection=mirror(key))
-        if key is not None and key in observation_spec.keys(True, True)
-        else None
-        for key in (keys.odometry, keys.outlook)
-    )
-    return RidingNetworks(
-        obs_norm=obs_norm,
-        ext_norm=ext_norm,
-        encoder=IntrinsicEncoder(intrinsic, latent_features, reflection=mirror(keys.intrinsic)),
-        intrinsic_estimator=NormalizedEstimator(
-            make_estimator(history_shape=sizes["intrinsic"][0], out_features=sizes["intrinsic"][1]), obs_norm
-        ),
-        extrinsic_estimator=NormalizedEstimator(
-            make_estimator(history_shape=sizes["extrinsic"][0], out_features=sizes["extrinsic"][1]),
-            obs_norm,
-            ext_norm,
-            odometry_norm,
-        ),
-        backbone=ActorBackbone(
-            obs_norm,
-            ext_norm,
-            latent_features,
-            actions,
-            actor_cells,
-            init_std,
-            min_std,
-            noise_basis,
-            products,
-            mirror(keys.action),
-        ),
-        critic=AsymmetricCritic(
-            obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm, intrinsic_reflection=mirror(keys.intrinsic)
+    with default_dtype(entry(observation_spec, keys.observation).dtype):
+        obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
+        ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
+        odometry_norm, outlook_norm = (
+            RunningNormalizer(entry_shape(observation_spec, key, 1), reflection=mirror(key))
+            if key is not None and key in observation_spec.keys(True, True)
+            else None
+            for key in (keys.odometry, keys.outlook)
         )
-        if privileged_critic
-        else AsymmetricCritic(obs_norm, cells=critic_cells),
-        keys=keys,
-    )
+        return RidingNetworks(
+            obs_norm=obs_norm,
+            ext_norm=ext_norm,
+            encoder=IntrinsicEncoder(intrinsic, latent_features, reflection=mirror(keys.intrinsic)),
+            intrinsic_estimator=NormalizedEstimator(
+                make_estimator(history_shape=sizes["intrinsic"][0], out_features=sizes["intrinsic"][1]), obs_norm
+            ),
+            extrinsic_estimator=NormalizedEstimator(
+                make_estimator(history_shape=sizes["extrinsic"][0], out_features=sizes["extrinsic"][1]),
+                obs_norm,
+                ext_norm,
+                odometry_norm,
+            ),
+            backbone=ActorBackbone(
+                obs_norm,
+                ext_norm,
+                latent_features,
+                actions,
+                actor_cells,
+                init_std,
+                min_std,
+                noise_basis,
+                products,
+                mirror(keys.action),
+            ),
+            critic=AsymmetricCritic(
+                obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm, intrinsic_reflection=mirror(keys.intrinsic)
+            )
+            if privileged_critic
+            else AsymmetricCritic(obs_norm, cells=critic_cells),
+            keys=keys,
+        )
 
 
 def _reflection(reflections: Mapping[NestedKey, Tensor] | None, key: NestedKey) -> Tensor | None:

@@ -9,6 +9,24 @@ from torchrl_atr._registry import nearest
 from torchrl_atr.modules.keys import NetworkKeys
 
 
+def entry(spec: TensorSpec, key: NestedKey) -> TensorSpec:
+    """Return ``spec[key]``, or ``spec`` itself if it is a leaf.
+
+    Raises:
+        KeyError: if there is no such entry; names the nearest one.
+    """
+    if not isinstance(spec, Composite):
+        return spec
+    if key not in spec.keys(True, True):
+        entries = f"it has {', '.join(map(str, spec.keys()))}."
+        similar = nearest(str(key), map(str, spec.keys(True, True)), otherwise=entries)
+        raise KeyError(
+            f"The spec has no entry {key!r}; {similar} Add the transform that writes it, or pass "
+            "keys=NetworkKeys(...) with the env's own names."
+        )
+    return spec[key]
+
+
 def entry_shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
     """Return the last ``ndim`` sizes of ``spec[key]`` (of ``spec`` itself if it is a leaf).
 
@@ -25,15 +43,7 @@ def entry_shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
         >>> entry_shape(Composite(history=Unbounded((8, 4, 5))), "history", 2)
         (4, 5)
     """
-    if isinstance(spec, Composite):
-        if key not in spec.keys(True, True):
-            entries = f"it has {', '.join(map(str, spec.keys()))}."
-            similar = nearest(str(key), map(str, spec.keys(True, True)), otherwise=entries)
-            raise KeyError(
-                f"The spec has no entry {key!r}; {similar} Add the transform that writes it, or pass "
-                "keys=NetworkKeys(...) with the env's own names."
-            )
-        spec = spec[key]
+    spec = entry(spec, key)
     if len(spec.shape) < ndim:
         raise ValueError(f"The spec of {key!r} needs at least {ndim} dimension(s), got {tuple(spec.shape)}.")
     return tuple(spec.shape[-ndim:])

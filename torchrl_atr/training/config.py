@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import SOURCES, Source
-from torchrl_atr.training.ranges import BOUNDS, RANGES
+from torchrl_atr.training.ranges import BOUNDS, RANGES, wrong_kind
 
 COLLECTORS = ("direct", "process", "ray", "distributed")
 """Engines that collect batches."""
@@ -174,10 +173,13 @@ class TrainConfig:
     checkpoint_seconds: float = 60.0
 
     def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            if problem := wrong_kind(field.name, getattr(self, field.name), field.default):
+                raise ConfigError(problem)
         import_modules(self.imports)  # first: they register the names below
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)
-            if not isinstance(value, int | float) or not low <= value <= high or math.isnan(value):
+            if not low <= value <= high:  # nor is a NaN
                 raise ConfigError(f"{name}={value!r} is out of range; choose a number in [{low:.10g}, {high:.10g}]")
         if not self.critic_cells or min(self.critic_cells) < 1:
             raise ConfigError(f"critic_cells={self.critic_cells} must be widths of 1 or more, such as 256,128,64")

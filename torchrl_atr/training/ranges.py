@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+from torchrl_atr._checks import check_flag, check_kind, check_whole
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs.transforms import CommandGrid
 
 BOUNDS = CommandGrid().bounds
@@ -60,3 +64,31 @@ RANGES: dict[str, tuple[float, float]] = {
     "checkpoint_seconds": (0, 1e6),
 }
 """Smallest and largest value of each number."""
+
+
+def wrong_kind(name: str, value: Any, default: Any) -> str | None:
+    """Return what is wrong with the kind of a setting's value, by that of its default; None for nothing.
+
+    Example:
+        >>> wrong_kind("compiled", 1.0, False), wrong_kind("gamma", 1, 0.995)
+        ('compiled=1.0: choose True or False', None)
+    """
+    try:
+        if isinstance(default, bool):
+            check_flag(name, value)
+        elif isinstance(default, int):
+            check_whole(name, value, low=None)
+        elif isinstance(default, float):
+            if isinstance(value, bool) or not isinstance(value, int | float):  # whether NaN: see RANGES
+                return f"{name}={value!r}: choose a number"
+        elif isinstance(default, tuple):
+            check_kind(name, value, tuple, "a tuple")
+            for part in value:
+                wrong = wrong_kind(name, part, default[0] if default else "")
+                if wrong:
+                    return wrong
+        else:
+            check_kind(name, value, str, "a text")
+    except InputError as error:
+        return str(error)
+    return None

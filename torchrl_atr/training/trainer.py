@@ -163,7 +163,8 @@ class Trainer:
         """Means and scales of random actions to start from, a step at a time: a rollout would hold every history."""
         carrier = self.env.reset()
         for _ in range(self.config.rollout_steps):
-            step, carrier = self.env.step_and_maybe_reset(self.env.rand_action(carrier))
+            carrier["action"] = torch.randn(self.env.action_spec.shape)  # whatever the spec's bounds
+            step, carrier = self.env.step_and_maybe_reset(carrier)
             networks.update_normalizers(step)
 
     def _close(self) -> None:

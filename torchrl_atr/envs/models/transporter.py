@@ -207,11 +207,12 @@ def get_transporter(transporter: str | Path | Mapping[str, Any] | TransporterSpe
         return TransporterSpec(**values)
     if is_spec_file(transporter):
         return read_transporter(transporter)
+    known = [*DESIGNS, *TRANSPORTERS.names()]
+    if not isinstance(transporter, str) or transporter not in known:
+        raise unknown("transporter", transporter, known, TRANSPORTERS.hint)
     if transporter in DESIGNS:
         return TRANSPORTERS.get(f"{transporter}_{robot.group.lower()}")
-    if transporter not in TRANSPORTERS.names():
-        raise unknown("transporter", transporter, [*DESIGNS, *TRANSPORTERS.names()], TRANSPORTERS.hint)
-    return TRANSPORTERS.get(str(transporter))
+    return TRANSPORTERS.get(transporter)
 
 
 def read_transporter(path: str | Path) -> TransporterSpec:

@@ -9,6 +9,7 @@ import mujoco.batch
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_atr._checks import check_whole
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr.envs.models.scene import STAND, Scene
 from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
@@ -33,9 +34,8 @@ class BatchEngine(Engine):
 
     def __init__(self, scene: Scene, num_envs: int, readings: Readings, num_threads: int | None = None) -> None:
         super().__init__(scene, num_envs, readings)
-        threads = available_cpus() if num_threads is None else num_threads
-        if threads < 1:
-            raise ValueError(f"num_threads={num_threads}: choose 1 or more, or None for the CPUs this process may use")
+        threads = check_whole("num_threads", num_threads, low=1, optional=True) or available_cpus()
+        self._num_threads = num_threads
         self.batch = mujoco.batch.Batch(scene.model, num_envs, nthread=threads)
         bind, expand = self.batch.bind, self.batch.expand
         self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
@@ -76,3 +76,10 @@ class BatchEngine(Engine):
         """See :class:`Engine`."""
         self._sense(True)
         self.batch.forward()
+
+    @property
+    def _arguments(self) -> tuple[Scene, int, Readings, int | None]:
+        return self.scene, self.num_envs, self.readings, self._num_threads
+
+    def _set_time(self, time: Array) -> None:
+        self.time[...] = time

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_atr._errors import MissingPackageError
+from torchrl_atr.envs.models.floor import floor_period, floor_planes, near_origin
 from torchrl_atr.envs.models.scene import STAND, Scene
 from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
 from torchrl_atr.envs.profiles import Readings
@@ -80,6 +81,7 @@ class DmControlEngine(Engine):
         self.warmstart = data.qacc_warmstart[None]
         self.sensordata, self.actuator_force = data.sensordata[None].copy(), data.actuator_force[None]
         self.fields = {name: getattr(self._model, name)[None] for name in RANDOMIZED_FIELDS}
+        self._floor, self._period = floor_planes(scene.model), floor_period(scene.model)
         rows = np.arange(1)
         stand = scene.model.key(STAND)
         self._stand = stand.id
@@ -105,12 +107,31 @@ class DmControlEngine(Engine):
     def _refresh_constants(self, rows: NDArray[np.int64]) -> None:
         mujoco.mj_setConst(self._model, self._data)
 
+    def _recentre(self) -> None:
+        super()._recentre()
+        self._place_floor()
+
+    def _place_floor(self) -> None:
+        """Moves the floor under the board, backwards: whoever renders this physics sees how far it rode."""
+        origin = self.scene.model.geom_pos[self._floor, :2]
+        # mj_setConst notes what stands at its body's origin, and MuJoCo then looks at its place no more
+        self._model.geom_sameframe[self._floor] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        self._model.geom_pos[self._floor, :2] = origin - near_origin(self.odometer, self._period)
+
     def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
         mujoco.mj_resetDataKeyframe(self._model, self._data, self._stand)
         self.qpos[:], self.qvel[:] = qpos, qvel
+        self._place_floor()
         self.forward()
 
     def forward(self) -> None:
         """See :class:`Engine`."""
         mujoco.mj_forward(self._model, self._data)
         self.sensordata[0] = self._data.sensordata
+
+    @property
+    def _arguments(self) -> tuple[Scene, Readings]:
+        return self.scene, self.readings
+
+    def _set_time(self, time: Array) -> None:
+        self._data.time = float(time[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -95,7 +96,7 @@ class Engine(ABC):
 
     def __init__(self, scene: Scene, num_envs: int, readings: Readings) -> None:
         self.scene = scene
-        self.num_envs = num_envs
+        self.num_envs, self.readings = num_envs, readings
         self.law = DriveLaw(scene.transporter, readings)
         self._tilt, self._planar = columns(scene.layout.tilt_qpos), columns(scene.layout.planar_dof)
         self._place = columns(scene.layout.planar_qpos[:2])
@@ -250,3 +251,35 @@ class Engine(ABC):
         self.forward()
         for name, target in live.items():  # MuJoCo wrote a new warm start, and began anew where a state is not finite
             target[...] = state[name]
+
+    @property
+    @abstractmethod
+    def _arguments(self) -> tuple[Any, ...]:
+        """What the constructor was called with."""
+
+    @abstractmethod
+    def _set_time(self, time: Array) -> None:
+        """Writes the simulation time, s, (N,)."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Constructor arguments and numbers: MuJoCo's own objects can neither be pickled nor copied."""
+        return {
+            "arguments": self._arguments,
+            "deck_mass": self._deck_mass.copy(),
+            "fields": {name: np.array(value) for name, value in self.fields.items()},
+            "state": self.get_state(),
+            "time": np.array(self.time),
+            "diverged": self.diverged.copy(),
+        }
+
+    def __setstate__(self, saved: dict[str, Any]) -> None:
+        """Builds the simulations anew and brings them to where the original's were; sensors are of that state."""
+        self.__init__(*saved["arguments"])  # type: ignore[misc]
+        rows = np.arange(self.num_envs)
+        for name, value in saved["fields"].items():
+            self.fields[name][...] = value
+        self._refresh_constants(rows)
+        self._refresh_deck(rows, saved["deck_mass"])
+        self.set_state(saved["state"])
+        self._set_time(saved["time"])
+        self.diverged[:] = saved["diverged"]

@@ -10,18 +10,27 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from torchrl_atr._checks import check_choice, check_flag, check_number
 from torchrl_atr._compilation import compile_methods
 from torchrl_atr._errors import InputError
+from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.task import disturbances, observations, rewards
 from torchrl_atr.envs.task import randomization as intrinsics
-from torchrl_atr.envs.task.guard import all_finite, bad_rows
+from torchrl_atr.envs.task.guard import all_finite, as_float32, bad_rows
 from torchrl_atr.envs.task.outlook import outlook
 from torchrl_atr.envs.task.rotations import rotate_back
 from torchrl_atr.envs.task.state import CONTROL_DT, Readout, RidingState, StateReader
 from torchrl_atr.envs.task.terminations import fallen
 
+ACTION_LIMIT = 3.0
+"""Bounds of the action specs, in units of the action scale: with 0.25 rad a unit, joint targets of q0 ± 0.75 rad.
+
+The same for all joints, so that 0, the stand, is the middle of a squashed policy's range and left is right's mirror
+image; the committed A1 policy stays within it in 99 of 100 steps. Beyond it, actions are carried out as they are; the
+model clips joint targets at its control ranges, wherever they come from.
+"""
 COMMAND_FEATURES = ("speed", "yaw_rate")
 """What a command asks for: forward speed, m/s, and yaw rate, rad/s."""
 
@@ -72,6 +81,7 @@ class RidingTask:
         ValueError: for an unknown ``randomization``, a share outside [0, 1], or ``compiled`` without a C++ compiler.
     """
 
+    @keeps_normal_tensors
     def __init__(
         self,
         engine: Engine,
@@ -83,10 +93,11 @@ class RidingTask:
         retry: float = 0.0,
         compiled: bool = False,
     ) -> None:
-        for name, share in {"moving_start": moving_start, "retry": retry}.items():
-            if not 0.0 <= share <= 1.0:
-                raise ValueError(f"{name}={share!r} is a share; choose a number in [0, 1]")
-        self.moving_start, self.retry = moving_start, retry
+        self.moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
+        self.retry = check_number("retry", retry, 0.0, 1.0)
+        check_choice("randomization", randomization, intrinsics.RANDOMIZATIONS)
+        check_flag("pushes", pushes)
+        check_flag("compiled", compiled)
         self.engine, self.scene, self.readings = engine, engine.scene, readings
         self.randomization, self.pushes, self.rng = randomization, pushes, rng
         self.num_diverged = 0
@@ -97,14 +108,27 @@ class RidingTask:
         self._push_every = round(disturbances.PUSH_INTERVAL / CONTROL_DT)
         self.steps = torch.zeros(n, dtype=torch.long)
         self.fell = torch.zeros(n, dtype=torch.bool)
-        self.previous_action = torch.zeros(n, self.joints)
-        self.odometry = torch.zeros(n, 3)
+        self.previous_action = torch.zeros(n, self.joints, dtype=torch.float32)
+        self.odometry = torch.zeros(n, 3, dtype=torch.float32)
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
-        if compiled:
-            compile_methods(self, "_assess", short=True)
-            compile_methods(self, "_open", short=True, any_rows=True)  # any number of robots begins
+        self.compiled = compiled
+        self._compile()
         self.begin(np.arange(n))
 
+    def _compile(self) -> None:
+        if self.compiled:
+            compile_methods(self, "_assess", short=True)
+            compile_methods(self, "_open", short=True, any_rows=True)  # any number of robots begins
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but compiled functions, which cannot be pickled: a copy compiles its own."""
+        return {name: value for name, value in vars(self).items() if name not in ("_assess", "_open")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._compile()
+
+    @keeps_normal_tensors
     @torch.no_grad()
     def begin(self, rows: NDArray[np.int64], command: Tensor | None = None) -> dict[Any, Tensor]:
         """Starts episodes of ``rows`` with fresh intrinsics and initial states; leaves the others alone.
@@ -122,14 +146,14 @@ class RidingTask:
         n, index = len(rows), torch.from_numpy(rows)
         x_int = intrinsics.sample_intrinsics(n, self.joints, self.randomization, self.rng)
         if self.retry > 0.0:
-            again = self.fell[index] & (torch.rand(n, generator=self.rng) < self.retry)
+            again = self.fell[index] & (torch.rand(n, generator=self.rng, dtype=torch.float32) < self.retry)
             x_int = torch.where(again.unsqueeze(-1), self.x_int[index], x_int)
         speeds = None
         if self.moving_start > 0.0 and command is not None:
             speeds = disturbances.initial_speeds(command.double().numpy(), self.moving_start, self.rng)
         qpos, qvel = disturbances.initial_state(self.scene, n, self.rng, speeds)
         self.engine.reset(rows, qpos, qvel, intrinsics.physical_parameters(x_int, self.scene, self.readings))
-        command = torch.zeros(n, len(COMMAND_FEATURES)) if command is None else command
+        command = torch.zeros(n, len(COMMAND_FEATURES), dtype=torch.float32) if command is None else command
         observed, velocities, odometry = self._open(self._reader.gather(rows), command, x_int)
         self._reader.velocities[index] = velocities
         # out of place: callers may hold what was handed out before
@@ -144,9 +168,10 @@ class RidingTask:
         state, velocities = self._reader.interpret(readout, None)
         # a moving start stands for a ride that began earlier, its odometry with it
         odometry = rotate_back(state.rotation, state.velocity)
-        action = torch.zeros(len(x_int), self.joints)
+        action = torch.zeros(len(x_int), self.joints, dtype=torch.float32)
         return self._observed(state, command, action, odometry, x_int), velocities, odometry
 
+    @keeps_normal_tensors
     def act(self, action: Tensor) -> None:
         """Opens a control step: pushes that are due, then the joint targets q0 + scale · action.
 
@@ -154,18 +179,15 @@ class RidingTask:
             action: (N, 12).
 
         Raises:
-            ValueError: for a wrong shape or an action that is not finite.
+            InputError: for a wrong shape, or an action that is not finite in float32.
         """
-        if action.shape != self.previous_action.shape:
-            needed = tuple(self.previous_action.shape)
-            raise ValueError(f"'action' has shape {tuple(action.shape)}; this env needs {needed}: one value per joint")
-        if bad := bad_rows(action):
-            raise InputError(f"'action' is not finite for env ids {bad[:8]}; check the policy that wrote it")
+        shape, remedy = tuple(self.previous_action.shape), "check the policy that wrote it"
+        single = as_float32("action", action.detach(), shape, "one value per joint", remedy)
         self._push()
-        # a copy: callers reuse their buffers
-        self._action = action.detach().to(torch.float32, copy=True)
+        self._action = single.clone()  # callers reuse their buffers
         self.engine.command((self._nominal + self.scene.robot.action_scale * self._action).numpy())
 
+    @keeps_normal_tensors
     @torch.no_grad()
     def judge(self, command: Tensor) -> Outcome:
         """Closes a control step, after the engine advanced.
@@ -265,16 +287,14 @@ class RidingTask:
 
     def get_state(self) -> dict[str, Tensor]:
         """Simulation state (float64) and bookkeeping, copied."""
-        own = {
-            "x_int": self.x_int,
-            "previous_action": self.previous_action,
-            "odometry": self.odometry,
-            "steps": self.steps,
-            "fell": self.fell,
-        }
         simulation = {name: torch.from_numpy(value) for name, value in self.engine.get_state().items()}
-        return {**simulation, **{name: value.clone() for name, value in own.items()}}
+        return {**simulation, **{name: value.clone() for name, value in self._bookkeeping().items()}}
 
+    def _bookkeeping(self) -> dict[str, Tensor]:
+        names = ("x_int", "previous_action", "odometry", "steps", "fell")
+        return {name: getattr(self, name) for name in names}
+
+    @keeps_normal_tensors
     def set_state(self, state: dict[str, Tensor]) -> None:
         """Restores a :meth:`get_state`, of either engine: intrinsic parameters, simulation and bookkeeping.
 
@@ -288,9 +308,11 @@ class RidingTask:
             if state[name].shape != value.shape:
                 got, needed = tuple(state[name].shape), tuple(value.shape)
                 raise ValueError(f"state entry {name!r} has shape {got}; this env needs {needed}")
-        self.x_int, self.previous_action = state["x_int"].clone(), state["previous_action"].clone()
-        self.odometry, self.steps = state["odometry"].clone(), state["steps"].clone()
-        self.fell = state["fell"].clone()
+        own = {name: state[name].to(value.dtype, copy=True) for name, value in self._bookkeeping().items()}
+        for name in ("x_int", "previous_action", "odometry"):
+            if bad := bad_rows(own[name]):
+                raise InputError(f"state entry {name!r} is not finite in float32 for env ids {bad[:8]}; correct it")
+        vars(self).update(own)
         arrays = {name: value.numpy() for name, value in state.items()}
         parameters = intrinsics.physical_parameters(self.x_int, self.scene, self.readings)
         self.engine.reset(np.arange(self.engine.num_envs), arrays["qpos"], arrays["qvel"], parameters)

@@ -8,6 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchrl_atr._errors import InputError
+
 
 def all_finite(values: Iterable[Tensor]) -> Tensor:
     """Whether there is no NaN or infinity in any of them, for the price of one sum: a bool of shape ().
@@ -27,6 +29,35 @@ def bad_rows(value: Tensor) -> list[int]:
         ([1], [])
     """
     return [] if value.sum().isfinite() else list(not_finite({"": value}))
+
+
+def as_float32(name: str, value: Tensor, shape: tuple[int, ...], what: str, remedy: str) -> Tensor:
+    """Return an entry as float32, of real numbers of any kind, whole ones too; no copy where it is float32.
+
+    Args:
+        name: of the entry, for messages.
+        value: what was given.
+        shape: what it must have.
+        what: what the features are, for the message about the shape.
+        remedy: what to do about values that are not finite.
+
+    Raises:
+        InputError: for another shape, complex numbers, a NaN, an infinity, or a number beyond float32's 3.4e38.
+
+    Example:
+        >>> as_float32("action", torch.tensor([[1, 2]]), (1, 2), "one value per joint", "check the policy")
+        tensor([[1., 2.]])
+    """
+    if tuple(value.shape) != tuple(shape):
+        raise InputError(f"{name!r} has shape {tuple(value.shape)}; this env needs {tuple(shape)}: {what}")
+    if value.is_complex():
+        raise InputError(f"{name!r} holds complex numbers ({value.dtype}); give real ones")
+    single = value.to(torch.float32)
+    if bad := bad_rows(single):
+        large = bool(torch.isfinite(value).all())
+        why = f" as float32, of {torch.finfo(torch.float32).max:.2g} at most" if large else ""
+        raise InputError(f"{name!r} is not finite for env ids {bad[:8]}{why}; {remedy}")
+    return single
 
 
 def not_finite(values: Mapping[Any, Tensor]) -> dict[int, str]:

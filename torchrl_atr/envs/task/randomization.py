@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrl_atr._checks import check_choice
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import PhysicalParameters
 from torchrl_atr.envs.profiles import Readings
@@ -89,20 +90,19 @@ def sample_intrinsics(n: int, joints: int, randomization: Randomization, generat
         >>> x.shape, bool((x.abs() <= 1).all())
         (torch.Size([2, 34]), True)
     """
-    if randomization not in RANDOMIZATIONS:
-        raise ValueError(f"unknown randomization {randomization!r}; choose one of {', '.join(RANDOMIZATIONS)}")
+    check_choice("randomization", randomization, RANDOMIZATIONS)
     low, high = _scaled_ranges(joints, randomization)
-    return low + (high - low) * torch.rand(n, len(low), generator=generator)
+    return low + (high - low) * torch.rand(n, len(low), generator=generator, dtype=torch.float32)
 
 
 @cache
 def _scaled_ranges(joints: int, randomization: Randomization) -> tuple[Tensor, Tensor]:
     """Ends of x_int's range, (34,) each."""
     slices = intrinsic_slices(joints)
-    low, high = torch.empty(2, sum(s.stop - s.start for s in slices.values()))
+    low, high = torch.empty(2, sum(s.stop - s.start for s in slices.values()), dtype=torch.float32)
     for name, parameter in INTRINSICS.items():
         bounds = (parameter.nominal,) * 2 if randomization == "off" else getattr(parameter, randomization)
-        ends = parameter.scaled(torch.tensor(bounds))
+        ends = parameter.scaled(torch.tensor(bounds, dtype=torch.float32))
         low[slices[name]], high[slices[name]] = ends[0], ends[1]
     return low, high
 

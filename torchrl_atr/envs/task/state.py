@@ -48,7 +48,8 @@ class RidingState:
         angular_velocity: ω_B in the body frame, (N, 3).
         joint_position, joint_velocity, joint_acceleration, torque: q, q̇, q̈, τ in the spec's order, (N, 12).
         platform_position, platform_velocity, platform_acceleration: of the pivot P, (N, 3).
-        platform_rotation: (N, 3, 3); platform_euler: (N, 3). Of two boards, P has the average pitch and no roll.
+        platform_rotation: (N, 3, 3); platform_euler: (N, 3), yaw in [-π, π]. Of two boards, P has the average
+            pitch and no roll.
         driving_tilt: forward and steering tilt, what drives the transporter (Eqs. 1, 3, 7), rad, (N, 2).
         platform_angular_velocity, platform_angular_acceleration: world frame, (N, 3).
         speeds: the drive law's forward speed and yaw rate in P_planar, (N, 2).
@@ -124,12 +125,13 @@ class StateReader:
         self._root_qpos, self._root_dof = (slice(start, start + 3) for start in (layout.root_qpos, layout.root_dof))
         self._joint_qpos, self._joint_dof = columns(layout.joint_qpos), columns(layout.joint_dof)
         self._planar_qpos, self._planar_dof = columns(layout.planar_qpos), columns(layout.planar_dof)
+        self._heading = int(layout.planar_qpos[2])
         self._tilt_qpos, self._tilt_dof = columns(layout.tilt_qpos), columns(layout.tilt_dof)
         self._actuators = columns(layout.actuators)
         self._foot_sizes = layout.foot_sizes
         design = engine.scene.transporter.design  # both from hinge angles: (n, 2) @ (2, 2)
-        self._driving = torch.tensor(design.driving).T
-        self._roll_and_pitch = torch.tensor(design.attitude).flip(0).T
+        self._driving = torch.tensor(design.driving, dtype=torch.float32).T
+        self._roll_and_pitch = torch.tensor(design.attitude, dtype=torch.float32).flip(0).T
         qpos, qvel = self._simulation(slice(None))
         self._sizes = (3, 3, 3, len(layout.joint_dof))
         self.velocities = self._velocities(qvel, self._platform_euler(qpos))
@@ -140,8 +142,11 @@ class StateReader:
         self.velocities[rows] = self._velocities(qvel, self._platform_euler(qpos))
 
     def _simulation(self, rows: Rows) -> tuple[Tensor, Tensor]:
-        """``qpos`` and ``qvel`` of ``rows``, cast once."""
-        return _float(self.engine.qpos[rows]), _float(self.engine.qvel[rows])
+        """``qpos`` and ``qvel`` of ``rows``, cast once; the heading, which turns without bound, in [-π, π]."""
+        qpos, heading = self.engine.qpos[rows], self._heading
+        single = _float(qpos)
+        single[:, heading] = torch.from_numpy(_wrapped(qpos[:, heading]))  # before the cast: float32 would lose it
+        return single, _float(self.engine.qvel[rows])
 
     def _platform_euler(self, qpos: Tensor) -> Tensor:
         """Roll, pitch and yaw of P, (n, 3)."""
@@ -229,6 +234,11 @@ def _by_foot(values: Tensor, sizes: tuple[int, ...], reduce: Callable[..., Tenso
 def _mix(angles: Tensor, matrix: Tensor) -> Tensor:
     """``angles @ matrix``, (n, 2), written out: compiled loops need not end for it."""
     return angles[:, :1] * matrix[0] + angles[:, 1:] * matrix[1]
+
+
+def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The angle in [-π, π]; within it, as it is to the last bit."""
+    return angle - 2 * np.pi * np.rint(angle / (2 * np.pi))
 
 
 def _float(array: NDArray[np.float64]) -> Tensor:

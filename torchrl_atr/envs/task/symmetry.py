@@ -61,19 +61,19 @@ def reflections(scene: Scene, readings: Readings) -> dict[NestedKey, Tensor]:
         "platform_angular_velocity": _signs(AXIAL),
         "relative_position": _signs(POLAR[:2]),
         "relative_yaw": _signs(AXIAL[2:]),
-        "payload": torch.eye(1),
+        "payload": _eye(1),
         "com_shift": _signs(POLAR),
         "kp": joints.abs(),
         "kd": joints.abs(),
-        "platform_mass": torch.eye(1),
-        "friction": torch.eye(1),
+        "platform_mass": _eye(1),
+        "friction": _eye(1),
         "sb_stiffness": gains,
         "sb_damping": gains,
     }
     command = _signs(FORWARD_YAW)
     proprio = torch.block_diag(*(parts[name] for name in observations.PROPRIO), joints)
     extrinsic = (parts[name] for name in observations.extrinsic_components(readings))
-    errors_and_kernels = [command, *[torch.eye(2)] * len(outlook.HORIZONS)]
+    errors_and_kernels = [command, *[_eye(2)] * len(outlook.HORIZONS)]
     return {
         "proprio": proprio,
         "command": command,
@@ -87,14 +87,19 @@ def reflections(scene: Scene, readings: Readings) -> dict[NestedKey, Tensor]:
     }
 
 
+def _eye(size: int) -> Tensor:
+    """The identity, float32 whatever torch's default."""
+    return torch.eye(size, dtype=torch.float32)
+
+
 def _signs(values: Sequence[float]) -> Tensor:
-    return torch.diag(torch.tensor(values))
+    return torch.diag(torch.tensor(values, dtype=torch.float32))
 
 
 def _sides_swapped() -> Tensor:
     """Of one number a leg, (4, 4): front left for front right, and so on."""
     other = {"R": "L", "L": "R"}
-    return torch.eye(len(LEGS))[[LEGS.index(leg[0] + other[leg[1]]) for leg in LEGS]]
+    return _eye(len(LEGS))[[LEGS.index(leg[0] + other[leg[1]]) for leg in LEGS]]
 
 
 def _joints(scene: Scene) -> Tensor:
@@ -103,11 +108,11 @@ def _joints(scene: Scene) -> Tensor:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     axes = np.stack([data.xaxis[model.joint(name).id] for name in robot.joints])
-    partner = torch.kron(_sides_swapped(), torch.eye(JOINTS_PER_LEG)).argmax(-1)
+    partner = torch.kron(_sides_swapped(), _eye(JOINTS_PER_LEG)).argmax(-1)
     signs = torch.from_numpy((axes * AXIAL * axes[partner]).sum(-1))
     matrix = torch.diag(signs.round())[partner].T.float()
     q0 = torch.tensor(robot.q0, dtype=torch.float32)
-    alike = torch.isclose(signs.abs(), torch.ones(()).to(signs)) & torch.isclose(matrix @ q0, q0, atol=1e-3)
+    alike = torch.isclose(signs.abs(), signs.new_ones(())) & torch.isclose(matrix @ q0, q0, atol=1e-3)
     if not alike.all():
         odd = int(alike.logical_not().nonzero()[0])
         raise robot.error(
@@ -125,7 +130,7 @@ def _joints(scene: Scene) -> Tensor:
 
 def _gains(deck: TransporterSpec) -> Tensor:
     """Of Table II's two self-balancing gains, (2, 2): roll and pitch stay, those of a right and a left board swap."""
-    matrix, boards = torch.zeros(2, 2), deck.design.boards
+    matrix, boards = torch.zeros(2, 2, dtype=torch.float32), deck.design.boards
     for board in boards:
         mirrored = next((other for other in boards if _mirror_images(board, other)), None)
         if mirrored is None:

@@ -24,7 +24,7 @@ def fallen(state: RidingState, scene: Scene, readings: Readings) -> Tensor:
     """
     length, width, thickness = scene.transporter.size
     tilted = (state.euler[:, :2].abs() > readings.tilt_limit).any(-1)
-    off_deck = (state.relative_position.abs() > torch.tensor([length / 2, width / 2])).any(-1)
+    off_deck = (state.relative_position.abs() > state.position.new_tensor([length / 2, width / 2])).any(-1)
     height = state.position[:, 2] - state.platform_position[:, 2] - thickness / 2
     finite = torch.isfinite(state.position.sum(-1) + state.joint_velocity.sum(-1))
     return tilted | off_deck | (height < scene.robot.min_height) | ~finite

@@ -11,12 +11,13 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
-from torchrl.envs.transforms import Transform
 
+from torchrl_atr._checks import check_kind, check_number, check_whole
+from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr._registry import nearest_entry
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.rows import CommandRows
-from torchrl_atr.envs.transforms.seeding import make_generator
+from torchrl_atr.envs.transforms.seeding import OwnGenerator, make_generator
 
 TRACKING_KEYS: tuple[NestedKey, ...] = (
     ("reward_terms", "forward_command"),
@@ -24,7 +25,7 @@ TRACKING_KEYS: tuple[NestedKey, ...] = (
 )
 
 
-class CommandCurriculum(Transform):
+class CommandCurriculum(OwnGenerator):
     """Grid-adaptive curriculum over (c_v, c_omega) (the paper's "Curriculum Strategy").
 
     A command is drawn at every reset and again every ``window`` steps, after the reward: the reward of step t
@@ -33,9 +34,10 @@ class CommandCurriculum(Transform):
     its threshold; if all pass and the row did not terminate, the grid around the command's cell grows. An
     episode that ends inside a window therefore scores nothing.
 
-    The generator is the transform's own: ``env.set_seed`` never reaches transforms. Give each worker its own
-    ``seed`` (for example through ``create_env_kwargs=[{"seed": 0}, {"seed": 1}]``) or call :meth:`set_seed`;
-    with ``seed=None`` each instance seeds itself from the operating system. Workers learn together through
+    The generator is the transform's own. Over a :class:`~torchrl_atr.envs.RidingEnv`, or several of them in a
+    ``SerialEnv`` or ``ParallelEnv``, ``env.set_seed(s)`` restarts it too, and parallel copies get different seeds; over
+    another env :meth:`set_seed` does. With ``seed=None`` each instance seeds itself from the operating system; copies
+    made with the same ``seed`` draw the same commands. Workers learn together through
     ``collector.map_fn("env.transform[0].load_weights", ...)`` and :meth:`merge_`.
 
     Only :meth:`pin` fixes a command. A ``command`` in a reset TensorDict is ignored.
@@ -53,7 +55,8 @@ class CommandCurriculum(Transform):
         seed: Seed of the transform's generator.
 
     Raises:
-        ValueError: Lengths differ, a maximum is not positive, or the window leaves nothing to score.
+        ValueError: Lengths differ, a maximum is not positive, the window leaves nothing to score, or a value is of the
+            wrong kind.
 
     Example:
         >>> curriculum = CommandCurriculum(tracking_max=(0.2, 0.1), seed=0)
@@ -66,6 +69,7 @@ class CommandCurriculum(Transform):
     rows: CommandRows
     _started: Tensor
 
+    @keeps_normal_tensors
     def __init__(
         self,
         tracking_max: Sequence[float],
@@ -79,23 +83,31 @@ class CommandCurriculum(Transform):
         command_key: NestedKey = "command",
         seed: int | None = None,
     ) -> None:
+        for name, values in {"tracking_max": tracking_max, "thresholds": thresholds}.items():
+            check_kind(name, values, (Sequence, Tensor), "a list of numbers, one per score")
+        check_kind("tracking_keys", tracking_keys, (list, tuple), "a list of keys, one per score")
+        check_kind("grid", grid, CommandGrid, "a CommandGrid", optional=True)
+        check_kind("rest_key", rest_key, (str, tuple), "a key", optional=True)
+        check_kind("command_key", command_key, (str, tuple), "a key")
         super().__init__(in_keys=list(tracking_keys), out_keys=[command_key])
         if not len(tracking_keys) == len(tracking_max) == len(thresholds) > 0:
             raise ValueError(
                 "tracking_keys, tracking_max and thresholds need one entry per score, got "
                 f"{len(tracking_keys)}, {len(tracking_max)} and {len(thresholds)}"
             )
-        if not all(0 < value < float("inf") for value in tracking_max):
+        thresholds = [check_number("thresholds", value) for value in thresholds]
+        if not all(isinstance(value, int | float) and 0 < value < float("inf") for value in tracking_max):
             raise ValueError(f"tracking_max must be positive, finite numbers, got {tuple(tracking_max)}")
+        window, score_from = check_whole("window", window, None), check_whole("score_from", score_from, None)
         if not 0 <= score_from < window:
             raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
         self.grid = CommandGrid() if grid is None else grid
-        self.window, self.score_from = int(window), int(score_from)
+        self.window, self.score_from = window, score_from
         self.command_key, self.rest_key = unravel_key(command_key), rest_key
         self._generator = make_generator(seed)
-        required = torch.tensor(thresholds) * torch.tensor(tracking_max) * (self.window - self.score_from)
+        required = torch.tensor(thresholds, dtype=torch.float32) * torch.tensor(tracking_max, dtype=torch.float32)
         self.register_buffer("weights", self.grid.initial_weights())
-        self.register_buffer("_required", required, persistent=False)
+        self.register_buffer("_required", required * (self.window - self.score_from), persistent=False)
         self.rows = CommandRows()
         self._frontier: tuple[tuple[int, int], tuple[float, float]] | None = None
 
@@ -123,10 +135,7 @@ class CommandCurriculum(Transform):
             self._frontier = version, self.grid.frontier(self.weights)
         return self._frontier[1]
 
-    def set_seed(self, seed: int) -> None:
-        """Restart this transform's own generator."""
-        self._generator.manual_seed(int(seed))
-
+    @keeps_normal_tensors
     @torch.no_grad()
     def load_weights(self, weights: Tensor) -> None:
         """Replace the weights by ``weights``, ``grid.shape``, in [0, 1].
@@ -136,6 +145,7 @@ class CommandCurriculum(Transform):
         """
         self.weights.copy_(self.grid.validate(torch.as_tensor(weights)))
 
+    @keeps_normal_tensors
     @torch.no_grad()
     def merge_(self, other: Tensor) -> None:
         """Take in another worker's weights, ``grid.shape``, by elementwise maximum.
@@ -146,6 +156,7 @@ class CommandCurriculum(Transform):
         other = self.grid.validate(torch.as_tensor(other)).to(self.weights)
         self.weights.copy_(self.grid.merge(self.weights, other))
 
+    @keeps_normal_tensors
     @torch.no_grad()
     def pin(self, command: Tensor | Sequence[float], mask: Tensor | None = None) -> None:
         """Fix the command of some rows, through resamples and resets, until :meth:`unpin`.
@@ -163,12 +174,14 @@ class CommandCurriculum(Transform):
         self._make_rows()
         self.rows.pin(command, self.grid.bounds, mask)
 
+    @keeps_normal_tensors
     @torch.no_grad()
     def unpin(self) -> None:
         """Release all pins. A released row keeps its command, uncounted, until it is next due."""
         if self.rows.batch is not None:
             self.rows.pinned = torch.zeros_like(self.rows.pinned)
 
+    @keeps_normal_tensors
     @torch.no_grad()
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         # before the base env's reset, so that what it emits already holds the new command
@@ -181,6 +194,7 @@ class CommandCurriculum(Transform):
         self._started = rows
         return tensordict.set(self.command_key, self.command)
 
+    @keeps_normal_tensors
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         if self.rest_key is not None:
             rest = tensordict_reset.get(self.rest_key, None)
@@ -192,6 +206,7 @@ class CommandCurriculum(Transform):
             self.rows.cells.masked_fill_(self._started & moving.to(self._started.device), -1)
         return tensordict_reset.set(self.command_key, self.command)
 
+    @keeps_normal_tensors
     @torch.no_grad()
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         command = self.command  # raises before the first reset
@@ -222,6 +237,7 @@ class CommandCurriculum(Transform):
         """Declare the command, unless the environment already takes it."""
         return self._declare(state_spec)
 
+    @keeps_normal_tensors
     def clone(self) -> CommandCurriculum:
         """A copy without parent, with its own generator and state."""
         other = super().clone()
@@ -236,6 +252,7 @@ class CommandCurriculum(Transform):
         """The generator and the grid's settings; weights and rows have entries of their own."""
         return {"generator": self._generator.get_state(), "grid": asdict(self.grid)}
 
+    @keeps_normal_tensors
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`. Rows of another batch size are made anew at the next reset.
 
@@ -245,12 +262,12 @@ class CommandCurriculum(Transform):
         saved = {name: tuple(v) if isinstance(v, list) else v for name, v in state["grid"].items()}
         if saved != asdict(self.grid):
             raise ValueError(f"the saved curriculum has the grid {saved}, this one {asdict(self.grid)}")
-        self._generator.set_state(state["generator"].cpu())
+        self._restore_generator(state["generator"])
 
     def _declare(self, spec: Composite) -> Composite:
         if self.command_key not in spec.keys(True, True):
             shape = (*spec.shape, len(self.grid.bounds))
-            spec[self.command_key] = Unbounded(shape, device=spec.device, dtype=torch.get_default_dtype())
+            spec[self.command_key] = Unbounded(shape, device=spec.device, dtype=torch.float32)
         return spec
 
     def _make_rows(self) -> bool:
@@ -264,7 +281,7 @@ class CommandCurriculum(Transform):
             return False
         spec = self.parent.full_state_spec
         known = self.command_key in spec.keys(True, True)
-        dtype = spec[self.command_key].dtype if known else torch.get_default_dtype()
+        dtype = spec[self.command_key].dtype if known else torch.float32
         self.rows.allocate(batch, len(self.grid.bounds), len(self.in_keys), dtype, self.weights.device)
         return True
 
@@ -292,7 +309,7 @@ class CommandCurriculum(Transform):
         index = (rows & ~self.rows.pinned).nonzero()[:, 0]
         if len(index):
             # drawn on the CPU: the same commands on every device
-            uniforms = torch.rand(len(index), 1 + len(self.grid.bounds), generator=self._generator, dtype=torch.float64)
+            uniforms = torch.rand(len(index), 1 + len(self.grid.bounds), generator=self._source(), dtype=torch.float64)
             commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
             self.rows.command.index_copy_(0, index, commands.to(self.rows.command.dtype))
             self.rows.cells.index_copy_(0, index, cells)

@@ -14,6 +14,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from torchrl_atr._checks import check_flag, check_number, check_pair
+
 _TOLERANCE = 1e-6
 
 
@@ -56,12 +58,12 @@ class CommandGrid:
     count_own_twice: bool = False
 
     def __post_init__(self) -> None:
-        for name, low in (("bounds", 0.0), ("bin_size", 0.0), ("initial", 0.0), ("expansion", -_TOLERANCE)):
-            pair = tuple(float(value) for value in getattr(self, name))
-            if len(pair) != 2 or not all(math.isfinite(value) and value > low for value in pair):
-                raise ValueError(f"{name} must be two finite, positive numbers (c_v, c_omega), got {pair}")
+        for name in ("bounds", "bin_size", "initial", "expansion"):
+            wanted = "two finite, positive numbers (c_v, c_omega)"
+            pair = check_pair(name, getattr(self, name), wanted, positive=name != "expansion")
             object.__setattr__(self, name, pair)
-        if not 0 < self.increment <= 1:
+        check_flag("count_own_twice", self.count_own_twice)
+        if not 0 < check_number("increment", self.increment) <= 1:
             raise ValueError(f"increment must be in (0, 1], got {self.increment}")
         for axis, (bound, size, initial, reach) in enumerate(
             zip(self.bounds, self.bin_size, self.initial, self.expansion)
@@ -99,7 +101,7 @@ class CommandGrid:
             float32 ``shape``.
         """
         inside = [math.floor(box / size + _TOLERANCE) for box, size in zip(self.initial, self.bin_size)]
-        weights = torch.zeros(self.shape)
+        weights = torch.zeros(self.shape, dtype=torch.float32)
         rows, columns = (slice(half - k, half + k + 1) for half, k in zip(self.half, inside))
         weights[rows, columns] = 1.0
         return weights

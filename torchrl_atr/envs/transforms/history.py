@@ -12,6 +12,9 @@ from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs.transforms import Transform
 
+from torchrl_atr._checks import check_flag, check_kind, check_whole
+from torchrl_atr._inference import keeps_normal_tensors
+
 _ROOM = 4
 """Steps that a reel lasts. With many robots some begin anew at nearly every step, which takes a new one anyway."""
 
@@ -50,16 +53,21 @@ class ObservationHistory(Transform):
         out_key: NestedKey = "history",
         include_current: bool = False,
     ) -> None:
+        length = check_whole("length", length, None)
+        check_flag("include_current", include_current)
+        for name, key in {"in_key": in_key, "out_key": out_key}.items():
+            check_kind(name, key, (str, tuple), "a key")
         if length < 1:
             raise ValueError(f"length must be at least 1, got {length}")
         super().__init__(in_keys=[in_key], out_keys=[out_key])
-        self.length = int(length)
+        self.length = length
         self.include_current = include_current
         # Frames, o_{t-H} ... o_t the last ones before _end, and room for more, (*B, H + 1 + _ROOM, D). Each is written
         # once: the emitted histories are views, and to move all frames at every step takes longer than all else here.
         self.register_buffer("_reel", None, persistent=False)
         self._end = 0
 
+    @keeps_normal_tensors
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         first = self._observation(tensordict_reset)
         shape = (*first.shape[:-2], self.length + 1, first.shape[-1])
@@ -76,12 +84,13 @@ class ObservationHistory(Transform):
             self._reel[begins, : self._end] = first[begins]
         return self._emit(tensordict_reset)
 
+    @keeps_normal_tensors
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         before = self._frames
         if before is None or self._reel is None:
             raise RuntimeError("ObservationHistory has no history before the first reset; call env.reset() first")
         newest = self._observation(next_tensordict)
-        if newest.requires_grad or self._reel.is_inference() or self._end == self._reel.shape[-2]:
+        if newest.requires_grad or self._end == self._reel.shape[-2]:
             self._new_reel(torch.cat([before[..., 1:, :], newest], -2))
         else:
             # data: what autograd keeps of the earlier frames has not changed
@@ -110,6 +119,7 @@ class ObservationHistory(Transform):
         observation_spec[self.out_keys[0]] = frame.unsqueeze(-2).expand(shape)
         return observation_spec
 
+    @keeps_normal_tensors
     def clone(self) -> ObservationHistory:
         """A copy without parent, with frames of its own."""
         other = super().clone()
@@ -121,6 +131,7 @@ class ObservationHistory(Transform):
         frames = self._frames
         return {"frames": None if frames is None else frames.clone()}
 
+    @keeps_normal_tensors
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`; frames of another shape are dropped at the next reset."""
         frames, device = state["frames"], self.parent.device if self.parent is not None else None

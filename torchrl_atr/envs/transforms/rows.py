@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from torchrl_atr._errors import InputError
+from torchrl_atr._inference import keeps_normal_tensors
 
 _FIELDS = ("command", "cells", "elapsed", "sums", "pinned")
 
@@ -48,7 +49,7 @@ class CommandRows(nn.Module):
         self.command = torch.zeros(n, axes, dtype=dtype, device=device)
         self.cells = torch.full((n,), -1, device=device)
         self.elapsed = torch.zeros(n, dtype=torch.long, device=device)
-        self.sums = torch.zeros(n, scores, device=device)
+        self.sums = torch.zeros(n, scores, dtype=torch.float32, device=device)
         self.pinned = torch.zeros(n, dtype=torch.bool, device=device)
 
     def mask(self, mask: Tensor | None) -> Tensor:
@@ -98,6 +99,7 @@ class CommandRows(nn.Module):
             return dict.fromkeys(("batch", *_FIELDS))
         return {"batch": list(self.batch), **{name: getattr(self, name).clone() for name in _FIELDS}}
 
+    @keeps_normal_tensors
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`, on the device where the rows were last."""
         device = None if self.batch is None else self.pinned.device

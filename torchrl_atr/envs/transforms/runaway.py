@@ -9,6 +9,7 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.envs.transforms import Transform
 
+from torchrl_atr._checks import check_kind, check_number, check_pair
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 
 
@@ -44,9 +45,10 @@ class RunawayTermination(Transform):
         reward_keys: Sequence[NestedKey] = ("reward", ("reward_terms", "termination")),
     ) -> None:
         super().__init__(in_keys=[speeds_key], out_keys=[])
-        if not all(value > 0 for value in margin):
-            raise ValueError(f"margin must be two positive numbers (m/s, rad/s), got {margin}")
-        self.margin, self.penalty = (float(margin[0]), float(margin[1])), float(penalty)
+        check_kind("curriculum", curriculum, CommandCurriculum, "the CommandCurriculum in front of it")
+        self.margin = check_pair("margin", margin, "two positive numbers (m/s, rad/s)")
+        self.penalty = check_number("penalty", penalty)
+        check_kind("reward_keys", reward_keys, (list, tuple), "a list of keys")
         self.reward_keys = tuple(reward_keys)
         self._curriculum = [curriculum]  # in a list: a part of the stack, not a submodule of this transform
 
@@ -55,9 +57,10 @@ class RunawayTermination(Transform):
         reach = zip(self._curriculum[0].frontier, self.margin, strict=True)
         limit = speeds.new_tensor([largest + margin for largest, margin in reach])
         away = (speeds.abs() > limit).any(-1, keepdim=True)
-        cost = self.penalty * (away & ~next_tensordict.get("terminated"))
+        ended = away & ~next_tensordict.get("terminated")
         for key in self.reward_keys if self.penalty else ():
-            next_tensordict.set(key, next_tensordict.get(key) + cost)
+            reward = next_tensordict.get(key)
+            next_tensordict.set(key, reward + self.penalty * ended.to(reward.dtype))
         for key in ("terminated", "done"):
             next_tensordict.set(key, next_tensordict.get(key) | away)
         return next_tensordict

@@ -1,20 +1,97 @@
-"""A transform's own source of randomness: an env's seed does not reach its transforms."""
+"""A transform's own source of randomness, which follows the seeds that its env is given."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
+from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
+from torchrl.envs.transforms import Transform
+
+from torchrl_atr._checks import check_whole
+
+_UNKNOWN = ("not attached yet",)
 
 
 def make_generator(seed: int | None) -> torch.Generator:
-    """A generator on the CPU; without a seed from the operating system, so that forked workers draw differently.
+    """Return a generator on the CPU; without a seed from the operating system, so that forked workers draw differently.
+
+    Raises:
+        InputError: for a seed that is not a whole number.
 
     Example:
         >>> make_generator(3).initial_seed()
         3
     """
+    seed = check_whole("seed", seed, high=2**63 - 1, optional=True)
     generator = torch.Generator()
     if seed is None:
         generator.seed()
     else:
-        generator.manual_seed(int(seed))
+        generator.manual_seed(seed)
     return generator
+
+
+def env_seeding(env: EnvBase | None) -> tuple[Any, ...] | None:
+    """Return what changes whenever an env is seeded, its seed last; None if it was not, or does not tell.
+
+    TorchRL hands ``env.set_seed(...)`` down to the base env, past all transforms. A base env tells in its attribute
+    ``seeding``, ``(how many times, seed)``, as :class:`~torchrl_atr.envs.RidingEnv` does.
+    """
+    while isinstance(env, TransformedEnv):
+        env = env.base_env
+    if isinstance(env, ParallelEnv):
+        seeds = env.__dict__.get("_seeds")  # a new list at every set_seed
+        return (id(seeds), seeds, seeds[0]) if seeds else None
+    if isinstance(env, SerialEnv):
+        seedings = [env_seeding(part) for part in env.__dict__.get("_envs") or ()]
+        return (*seedings, seedings[0][-1]) if seedings and seedings[0] is not None else None
+    return None if env is None else vars(env).get("seeding")
+
+
+def _env_around(transform: Transform) -> EnvBase | None:
+    """Return the env that a transform is attached to, through any ``Compose``; ``container`` wants a complete one."""
+    around: Any = transform
+    while isinstance(around, Transform):
+        reference = around.__dict__.get("_container")
+        around = None if reference is None else reference()
+    return around
+
+
+class OwnGenerator(Transform):
+    """A transform with a generator of its own, seeded by its constructor, :meth:`set_seed` or ``env.set_seed``.
+
+    A subclass draws from what :meth:`_source` returns.
+    """
+
+    _generator: torch.Generator
+    _seen: tuple[Any, ...] | None = _UNKNOWN
+
+    def set_seed(self, seed: int) -> None:
+        """Restart this transform's own generator.
+
+        Raises:
+            InputError: for a seed that is not a whole number.
+        """
+        self._generator.manual_seed(check_whole("seed", seed, high=2**63 - 1))
+        self._seen = env_seeding(_env_around(self))
+
+    def set_container(self, container: Transform | EnvBase) -> None:
+        """Attach to an env; seeds that it was given before do not count."""
+        super().set_container(container)
+        env = _env_around(self)
+        if self._seen is _UNKNOWN and env is not None:
+            self._seen = env_seeding(env)
+
+    def _source(self) -> torch.Generator:
+        """Return the generator, restarted if the env was seeded since it was last used."""
+        now = env_seeding(_env_around(self))
+        if now != self._seen:
+            self._seen = now
+            if now is not None:
+                self._generator.manual_seed(now[-1])
+        return self._generator
+
+    def _restore_generator(self, state: torch.Tensor) -> None:
+        self._generator.set_state(state.cpu())
+        self._seen = env_seeding(_env_around(self))

@@ -7,6 +7,7 @@ from typing import Any
 
 from torchrl.envs.transforms import CatTensors, Compose, RewardSum, StepCounter
 
+from torchrl_atr._checks import check_flag, check_whole
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.once import StoredOnce
@@ -54,6 +55,8 @@ def riding_transforms(
         >>> [type(t).__name__ for t in riding_transforms((0.2, 0.1), seed=0)]
         ['CommandCurriculum', 'CatTensors', 'ObservationHistory', 'StepCounter', 'RewardSum']
     """
+    max_steps, stagger = check_whole("max_steps", max_steps, low=1), check_whole("stagger", stagger)
+    check_flag("stored_once", stored_once)
     command = CommandCurriculum(tracking_max, **curriculum)
     guards = [] if runaway_margin is None else [RunawayTermination(command, runaway_margin, runaway_penalty)]
     return Compose(

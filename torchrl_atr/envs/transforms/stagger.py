@@ -8,12 +8,13 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import StepCounter
 
-from torchrl_atr.envs.transforms.seeding import make_generator
+from torchrl_atr._checks import check_whole
+from torchrl_atr.envs.transforms.seeding import OwnGenerator, make_generator
 
 _NEVER = torch.iinfo(torch.int64).max
 
 
-class StaggeredCounter(StepCounter):
+class StaggeredCounter(OwnGenerator, StepCounter):
     """A :class:`~torchrl.envs.StepCounter` whose counts start anywhere below ``max_steps`` when all envs begin at once.
 
     Robots that start together and do not fall end together, in every episode to come: a batch then is
@@ -25,7 +26,7 @@ class StaggeredCounter(StepCounter):
 
     Args:
         max_steps (int): Steps after which an episode is truncated.
-        seed (int, optional): Of the counts.
+        seed (int, optional): Of the counts; ``env.set_seed`` of a :class:`~torchrl_atr.envs.RidingEnv` sets it, too.
         every (int): The limit is looked at in every so many steps, from the env's first reset on. If ``max_steps`` is a
             multiple of it, only first episodes and those that began after a fall last longer. Defaults to 1.
 
@@ -43,10 +44,11 @@ class StaggeredCounter(StepCounter):
     max_steps: int
 
     def __init__(self, max_steps: int, seed: int | None = None, every: int = 1) -> None:
-        super().__init__(max_steps)
+        super().__init__(check_whole("max_steps", max_steps, low=1))
+        every = check_whole("every", every, None)
         if every < 1:
             raise ValueError(f"every must be at least 1, got {every}")
-        self.every = int(every)
+        self.every = every
         self._generator = make_generator(seed)
         self._steps = 0
 
@@ -56,7 +58,7 @@ class StaggeredCounter(StepCounter):
             if tensordict.get(reset_key, None) is None:
                 self._steps = 0
                 count = tensordict_reset.get(count_key)
-                drawn = torch.randint(self.max_steps, count.shape, generator=self._generator)  # on the CPU, as anywhere
+                drawn = torch.randint(self.max_steps, count.shape, generator=self._source())  # on the CPU, as anywhere
                 tensordict_reset.set(count_key, drawn.to(count))
         return tensordict_reset
 
@@ -77,4 +79,4 @@ class StaggeredCounter(StepCounter):
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`."""
         self._steps = state["steps"]
-        self._generator.set_state(state["generator"].cpu())
+        self._restore_generator(state["generator"])
