@@ -305,3 +305,21 @@ def test_sensors_are_those_of_the_last_substep_and_of_no_other():
     other.advance(1)
     other.forward()
     np.testing.assert_array_equal(one.sensordata, other.sensordata)
+
+
+@pytest.mark.parametrize(("physics", "num_envs"), [("batch", 3), ("dm_control", 1)])
+def test_a_torque_and_its_velocity_are_of_one_instant(physics, num_envs):
+    envs = [RidingEnv(num_envs=num_envs, seed=4, physics=physics, num_threads=1) for _ in range(2)]
+    before, engine = (env.engine for env in envs)
+    for each in (before, engine):
+        each.command(np.asarray(each.scene.robot.q0) + 0.3 * np.cos(np.arange(12)) * np.ones((num_envs, 1)))
+    before.advance(DECIMATION - 1)
+    engine.advance(DECIMATION)
+    layout = engine.scene.layout
+    angle, velocity = before.qpos[:, layout.joint_qpos], before.qvel[:, layout.joint_dof]
+    np.testing.assert_array_equal(engine.torque_velocity, velocity)
+    kp = engine.fields["actuator_gainprm"][:, layout.actuators, 0]
+    kd = -engine.fields["actuator_biasprm"][:, layout.actuators, 2]
+    limit = np.tile(engine.scene.robot.torque_limits, 4)
+    torque = np.clip(kp * (engine.ctrl[:, layout.actuators] - angle) - kd * velocity, -limit, limit)
+    np.testing.assert_allclose(engine.actuator_force[:, layout.actuators], torque, atol=1e-9)

@@ -39,7 +39,7 @@ def _state(**given: object) -> RidingState:
     vectors = "velocity acceleration angular_velocity platform_velocity platform_acceleration other_force"
     for name in [*vectors.split(), "platform_angular_velocity", "platform_angular_acceleration"]:
         values[name] = torch.zeros(3)
-    for name in ("joint_velocity", "joint_acceleration", "torque"):
+    for name in ("joint_velocity", "joint_acceleration", "torque", "torque_velocity"):
         values[name] = torch.zeros(12)
     values |= {name: torch.as_tensor(value, dtype=torch.float32) for name, value in given.items()}
     for name, euler in (("rotation", "euler"), ("platform_rotation", "platform_euler")):

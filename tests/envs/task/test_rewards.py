@@ -68,7 +68,7 @@ SHEET = [
     # 2 × 1 counts; -3 × 1, 4 × (-1) brake
     (
         "energy_efficiency",
-        {"torque": joints(2, -3, 4, -5), "joint_velocity": joints(1, 1, -1, -2)},
+        {"torque": joints(2, -3, 4, -5), "torque_velocity": joints(1, 1, -1, -2), "joint_velocity": joints(9)},
         -1e-4 * (2 + 10),
     ),
     ("force_regulation", {"foot_force": forces(150.0, 100.0, 99.0, 250.0)}, -1e-2 * (50 + 150)),

@@ -211,7 +211,8 @@ def columns(addresses: np.ndarray) -> slice | np.ndarray:
         >>> columns(np.array([3, 4, 5])), columns(np.array([4, 3]))
         (slice(3, 6, None), array([4, 3]))
     """
-    first, n = int(addresses[0]), len(addresses)
+    n = len(addresses)
+    first = int(addresses[0]) if n else 0
     return slice(first, first + n) if np.array_equal(addresses, np.arange(first, first + n)) else addresses
 
 

@@ -77,6 +77,8 @@ class Engine(ABC):
         actuator_force: joint torques of the last substep in MJCF actuator order, N m, (N, nu).
         speeds: the law's own state (v_f, ω_z), (N, 2).
         odometer: deck position in the world, m, (N, 2), since recentring keeps ``qpos`` near the origin.
+        torque_velocity: joint velocities when ``actuator_force`` was computed, in the spec's joint order, rad/s,
+            (N, 12): a torque times a later velocity is no power.
         diverged: simulations that MuJoCo reset or refused to step during the last :meth:`advance`, (N,) bool.
         fields: live per-simulation values of the :data:`RANDOMIZED_FIELDS` of the compiled model, (N, ...)
             each.
@@ -101,6 +103,8 @@ class Engine(ABC):
         self._tilt, self._planar = columns(scene.layout.tilt_qpos), columns(scene.layout.planar_dof)
         self._place = columns(scene.layout.planar_qpos[:2])
         self._heading = int(scene.layout.planar_qpos[2])
+        self._joints = columns(scene.layout.joint_dof)
+        self.torque_velocity = np.zeros((num_envs, len(scene.layout.joint_dof)))
         self.speeds = np.zeros((num_envs, 2))
         self.odometer = np.zeros((num_envs, 2))
         self.diverged = np.zeros(num_envs, dtype=bool)
@@ -148,6 +152,8 @@ class Engine(ABC):
         warned, expected = self._warnings()[:, _DIVERGED].copy(), self.time + substeps * TIMESTEP
         for number in range(1, substeps + 1):
             self.prescribe()
+            if number == substeps:
+                self.torque_velocity[...] = self.qvel[:, self._joints]
             self._substep(last=number == substeps)
         # MuJoCo's own reset also zeroes the counts: a second divergence in a row shows in the time alone
         warned_anew = (self._warnings()[:, _DIVERGED] > warned).any(axis=1)
@@ -190,6 +196,7 @@ class Engine(ABC):
         self.odometer[rows] = 0.0
         self.diverged[rows] = False
         self._restart(rows, qpos, qvel)
+        self.torque_velocity[rows] = self.qvel[rows][:, self._joints]
 
     def _write_parameters(self, rows: NDArray[np.int64], parameters: PhysicalParameters) -> None:
         """Writes Table II's parameters into the fields of ``rows``, starting from the nominal model."""
@@ -249,6 +256,7 @@ class Engine(ABC):
                 raise ValueError(f"state field {name!r} has shape {value.shape}; this engine needs {target.shape}")
             target[...] = value
         self.forward()
+        self.torque_velocity[...] = self.qvel[:, self._joints]
         for name, target in live.items():  # MuJoCo wrote a new warm start, and began anew where a state is not finite
             target[...] = state[name]
 

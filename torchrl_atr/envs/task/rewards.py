@@ -174,8 +174,8 @@ def postural_deviation(c: RewardContext) -> Tensor:
 
 @reward_term("energy_efficiency")
 def energy_efficiency(c: RewardContext) -> Tensor:
-    """r14 = -k16 Σ max(τ_j q̇_j, 0)."""
-    return -1e-4 * (c.state.torque * c.state.joint_velocity).clamp_min(0.0).sum(-1)
+    """r14 = -k16 Σ max(τ_j q̇_j, 0), both of the same instant."""
+    return -1e-4 * (c.state.torque * c.state.torque_velocity).clamp_min(0.0).sum(-1)
 
 
 @reward_term("force_regulation")

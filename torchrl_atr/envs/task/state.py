@@ -47,6 +47,7 @@ class RidingState:
         euler: roll, pitch, yaw of the body, (N, 3).
         angular_velocity: ω_B in the body frame, (N, 3).
         joint_position, joint_velocity, joint_acceleration, torque: q, q̇, q̈, τ in the spec's order, (N, 12).
+        torque_velocity: q̇ of the instant that ``torque`` is of, the beginning of the last substep, (N, 12).
         platform_position, platform_velocity, platform_acceleration: of the pivot P, (N, 3).
         platform_rotation: (N, 3, 3); platform_euler: (N, 3), yaw in [-π, π]. Of two boards, P has the average
             pitch and no roll.
@@ -75,6 +76,7 @@ class RidingState:
     joint_velocity: Tensor
     joint_acceleration: Tensor
     torque: Tensor
+    torque_velocity: Tensor
     platform_position: Tensor
     platform_velocity: Tensor
     platform_acceleration: Tensor
@@ -105,6 +107,7 @@ class Readout(NamedTuple):
     qvel: Tensor
     sensed: Tensor
     torque: Tensor
+    torque_velocity: Tensor
     speeds: Tensor
     driven_acceleration: Tensor
 
@@ -173,6 +176,7 @@ class StateReader:
             *self._simulation(rows),
             _float(engine.sensordata[rows]),
             _float(engine.actuator_force[rows]),
+            _float(engine.torque_velocity[rows]),
             _float(engine.speeds[rows]),
             _float(engine.driven_acceleration(rows)),
         )
@@ -184,7 +188,7 @@ class StateReader:
             readout: of n robots.
             previous: their velocities a control step ago, to which accelerations are differences; None: they are zero.
         """
-        qpos, qvel, sensed, torque, speeds, driven_acceleration = readout
+        qpos, qvel, sensed, torque, torque_velocity, speeds, driven_acceleration = readout
         sensors = self.engine.scene.layout.sensors
         platform_euler = self._platform_euler(qpos)
         now = self._velocities(qvel, platform_euler)
@@ -205,6 +209,7 @@ class StateReader:
             joint_velocity=joint_velocity,
             joint_acceleration=joint_acceleration,
             torque=torque[:, self._actuators],
+            torque_velocity=torque_velocity,
             platform_position=pad(qpos[:, self._planar_qpos][:, :2], (0, 1), value=DECK_HEIGHT),
             platform_velocity=platform_velocity,
             platform_acceleration=platform_acceleration,
