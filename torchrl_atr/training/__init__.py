@@ -1,5 +1,6 @@
 """The recipe: configuration, trainer, learner, checkpoints and logs."""
 
+from torchrl_atr._threads import TorchThreads
 from torchrl_atr.training.assembly import DEPLOYED, load_run, make_env, make_policy, make_run_networks
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig
@@ -19,6 +20,7 @@ __all__ = [
     "Learner",
     "Team",
     "TeamError",
+    "TorchThreads",
     "TrainConfig",
     "Trainer",
     "TrainingDiverged",
