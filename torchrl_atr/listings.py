@@ -91,9 +91,12 @@ def _made_by(factory: Any, net: Any) -> Any:
 
 def rewards() -> Iterator[str]:
     """Reward terms in Table III's order."""
-    from torchrl_atr.envs.task.rewards import REWARD_TERMS
+    from torchrl_atr.envs.task.rewards import RIDING_REWARDS
 
-    return _table([name, _summary(term)] for name, term in REWARD_TERMS.items())
+    rows = [["term", "weight", "meaning"]]
+    for name, term in RIDING_REWARDS.items():
+        rows.append([name, f"{term.weight:g}", _summary(term.function)])
+    return _table(rows)
 
 
 def settings() -> Iterator[str]:

@@ -10,7 +10,7 @@ from torchrl.envs.utils import check_env_specs
 
 from torchrl_atr.envs import ROBOTS, RidingEnv
 from torchrl_atr.envs.models import DESIGNS
-from torchrl_atr.envs.task.rewards import REWARD_TERMS
+from torchrl_atr.envs.task.rewards import RIDING_REWARDS
 from torchrl_atr.envs.task.terminations import fallen
 
 PAIRS = [(robot, transporter) for robot in ROBOTS.names() for transporter in DESIGNS]
@@ -65,8 +65,8 @@ def test_random_actions_stay_finite_move_every_observation_and_name_every_term(m
     for key in ("proprio", ("privileged", "extrinsic"), ("privileged", "outlook")):
         spread = data[key].flatten(0, 1).std(0)
         assert (spread > 0).all(), (key, (spread == 0).nonzero().squeeze(-1).tolist())
-    assert set(data["reward_terms"].keys()) == set(REWARD_TERMS)
-    total = torch.stack([data["reward_terms", name] for name in REWARD_TERMS]).sum(0)
+    assert set(data["reward_terms"].keys()) == set(RIDING_REWARDS)
+    total = torch.stack([data["reward_terms", name] for name in RIDING_REWARDS]).sum(0)
     torch.testing.assert_close(total, data["reward"])
 
 

@@ -13,7 +13,6 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs import ROBOTS, RidingEnv, get_transporter
 from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.task import core
-from torchrl_atr.envs.task.rewards import REWARD_TERMS
 from torchrl_atr.evaluation import replay
 
 BAD, STEP = 2, 7
@@ -35,26 +34,25 @@ def spoil_observation(env, monkeypatch):
     monkeypatch.setattr(core.observations, "proprio", spoiled)
 
 
-def spoil_term(env, monkeypatch):
-    compute = core.rewards.compute_rewards
+def spoil_rewards(env, monkeypatch, spoil):
+    """Have ``spoil(reward, terms)`` change what a step scores."""
+    compute = type(env.task.rewards).__call__
 
-    def spoiled(*arguments, **keywords):
-        reward, terms = compute(*arguments, **keywords)
-        terms[list(REWARD_TERMS).index("force_regulation"), BAD] = torch.nan
+    def spoiled(rewards, context):
+        reward, terms = compute(rewards, context)
+        spoil(reward, terms)
         return reward, terms
 
-    monkeypatch.setattr(core.rewards, "compute_rewards", spoiled)
+    monkeypatch.setattr(type(env.task.rewards), "__call__", spoiled)
+
+
+def spoil_term(env, monkeypatch):
+    row = list(env.task.rewards.terms).index("force_regulation")
+    spoil_rewards(env, monkeypatch, lambda reward, terms: terms[row, BAD].fill_(torch.nan))
 
 
 def spoil_reward(env, monkeypatch):
-    compute = core.rewards.compute_rewards
-
-    def spoiled(*arguments, **keywords):
-        reward, terms = compute(*arguments, **keywords)
-        reward[BAD] = torch.inf
-        return reward, terms
-
-    monkeypatch.setattr(core.rewards, "compute_rewards", spoiled)
+    spoil_rewards(env, monkeypatch, lambda reward, terms: reward[BAD].fill_(torch.inf))
 
 
 def ride(env, monkeypatch, spoil=None, steps=STEP + 1):

@@ -70,7 +70,7 @@ def test_an_argument_that_nothing_has_is_named():
     with pytest.raises(TypeError, match=r"make_riding_env\(\) has no argument 'windows'; did you mean 'window'\?"):
         make_riding_env(num_envs=1, windows=3)
     env = make_riding_env(num_envs=1, score_from=3)  # one of the curriculum's
-    assert env.transform[0].score_from == 3
+    assert env.curriculum.score_from == 3
 
 
 def test_it_does_not_leave_the_cpu():

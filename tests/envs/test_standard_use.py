@@ -127,10 +127,10 @@ def test_parallel_copies_differ_and_follow_their_seeds():
 def test_a_transforms_own_seed_after_the_envs_counts():
     env, other = make(), make()
     env.set_seed(3)
-    env.transform[0].set_seed(5)
-    other.transform[0].set_seed(5)
+    env.curriculum.set_seed(5)
+    other.curriculum.set_seed(5)
     other.set_seed(4)
-    other.transform[0].set_seed(5)
+    other.curriculum.set_seed(5)
     assert torch.equal(env.reset()["command"], other.reset()["command"])
 
 
@@ -179,9 +179,9 @@ def test_an_env_made_in_inference_mode_works_outside_and_pins_set_in_it_hold():
     with torch.inference_mode():
         env = make(**TRAINING)
         env.rollout(2)
-        env.transform[0].pin([0.25, 0.0])
-        env.transform[0].merge_(torch.ones(env.transform[0].grid.shape))
-    assert env.transform[0].frontier == env.transform[0].grid.bounds
+        env.curriculum.pin([0.25, 0.0])
+        env.curriculum.merge_(torch.ones(env.curriculum.grid.shape))
+    assert env.curriculum.frontier == env.curriculum.grid.bounds
     env.rollout(30, break_when_any_done=False)
     assert (env.reset()["command"] == torch.tensor([0.25, 0.0])).all()
 

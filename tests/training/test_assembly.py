@@ -12,7 +12,7 @@ CONFIG = make_config({"num_envs": 64, "max_speed": 3.0, "max_yaw_rate": 1.0, "nu
 
 def test_training_starts_at_staggered_times_and_within_the_bounds():
     env = make_env(CONFIG)
-    assert env.transform[0].grid.bounds == (3.0, 1.0)
+    assert env.curriculum.grid.bounds == (3.0, 1.0)
     assert env.reset()["step_count"].unique().numel() > 8
 
 
@@ -26,7 +26,7 @@ def test_robots_reach_their_time_limits_together():
 
 def test_a_deployed_policy_starts_at_the_beginning_and_takes_any_command():
     env = make_env(CONFIG, num_envs=2, **DEPLOYED)
-    env.transform[0].pin(torch.tensor([15.0, -2.0]))
+    env.curriculum.pin(torch.tensor([15.0, -2.0]))
     start = env.reset()
     assert start["command"].tolist() == [[15.0, -2.0]] * 2
     assert not start["step_count"].any()

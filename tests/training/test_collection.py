@@ -50,7 +50,7 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
             collection.exchange()
             assert collection.curriculum.weights[cell] == 0.75
             if collection.callable:
-                for weights in collection.collector.get_distant_attr("env.transform[0].weights"):
+                for weights in collection.collector.get_distant_attr("env.curriculum.weights"):
                     torch.testing.assert_close(weights, collection.curriculum.weights)
         intrinsics = batch["privileged", "intrinsic"][:, 0]
         assert len(torch.unique(intrinsics, dim=0)) == 8

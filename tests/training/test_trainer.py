@@ -42,7 +42,7 @@ def test_the_checkpoint_restores_the_deployed_policy_bit_for_bit(tmp_path):
     actions = []
     for networks in (trainer.learner.deployed, restored):
         env.base_env.set_seed(3)
-        env.transform[0].set_seed(3)
+        env.curriculum.set_seed(3)
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             actions.append(env.rollout(3, networks.deployed_policy())["action"])
     assert torch.equal(*actions)

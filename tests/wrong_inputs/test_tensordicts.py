@@ -73,7 +73,7 @@ def _action(value=0.0, size=12):
             "the state lacks 'qpos'",
             "pass what get_state() returned",
         ),
-        (lambda g: g.env.transform[0].pin([20.0, 0.0]), InputError, "command [20.0, 0.0]", "within ±(15.0, 2.0)"),
+        (lambda g: g.env.curriculum.pin([20.0, 0.0]), InputError, "command [20.0, 0.0]", "within ±(15.0, 2.0)"),
         (
             lambda g: g.with_transform(CommandCurriculum([1.0], thresholds=[0.8], tracking_keys=["quality"])),
             KeyError,

@@ -126,7 +126,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
             if (arguments.run / "progress.csv").is_file():
                 figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
             weights = state["curriculum"]["weights"]
-            figures.plot_curriculum(weights, env.transform[0].grid.bounds, folder / "curriculum.png")
+            figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
     say("\n".join([*headlines(metrics), *estimator_lines(metrics["estimator_errors"]), f"report in {output}"]))
 
 

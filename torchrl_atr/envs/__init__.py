@@ -18,14 +18,19 @@ from torchrl_atr.envs.models import (
 )
 from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings
 from torchrl_atr.envs.riding import RidingEnv
+from torchrl_atr.envs.task.reward_terms import RewardError, RewardTerm
+from torchrl_atr.envs.task.rewards import RIDING_REWARDS
 
 __all__ = [
     "PROFILES",
+    "RIDING_REWARDS",
     "ROBOTS",
     "SINGLE_BOARD",
     "TRANSPORTERS",
     "TWO_BOARD",
     "Readings",
+    "RewardError",
+    "RewardTerm",
     "RidingEnv",
     "RobotError",
     "RobotSpec",

@@ -14,8 +14,18 @@ from torchrl_atr.envs.models import RobotSpec, TransporterSpec
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.riding import PhysicsEngine, RidingEnv
 from torchrl_atr.envs.task.randomization import Randomization
-from torchrl_atr.envs.task.rewards import MAX_TRACKING, TERMINATION, reward_scale
+from torchrl_atr.envs.task.reward_terms import RewardError, RewardTerm
+from torchrl_atr.envs.task.rewards import RIDING_REWARDS
 from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, riding_transforms
+
+
+class CurriculumEnv(TransformedEnv):
+    """A transformed env with a command curriculum among its transforms, whatever its place."""
+
+    @property
+    def curriculum(self) -> CommandCurriculum:
+        """The curriculum, which also pins commands."""
+        return next(transform for transform in self.transform if isinstance(transform, CommandCurriculum))
 
 
 def make_riding_env(
@@ -33,6 +43,7 @@ def make_riding_env(
     seed: int | None = None,
     dump_dir: str | Path | None = None,
     compiled: bool = False,
+    rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     history_length: int = 10,
     max_steps: int = 1000,
     stagger: int = 0,
@@ -41,7 +52,7 @@ def make_riding_env(
     runaway_margin: tuple[float, float] | None = None,
     stored_once: bool = False,
     **curriculum: Any,
-) -> TransformedEnv:
+) -> CurriculumEnv:
     """A :class:`RidingEnv` behind command curriculum, observation, history, time limit and episode reward.
 
     Args:
@@ -60,6 +71,7 @@ def make_riding_env(
             alike; those of a ``SerialEnv``, ``ParallelEnv`` or collector get different ones from its ``set_seed``.
         dump_dir: where the last half second of a simulation that failed is written; None for nowhere.
         compiled: see :class:`RidingEnv`.
+        rewards: the terms of the reward by name.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
         stagger: if positive, the robots' first episodes end at different times, and the limit is looked at in every so
@@ -72,7 +84,7 @@ def make_riding_env(
         **curriculum: further arguments of :class:`~torchrl_atr.envs.transforms.CommandCurriculum`.
 
     Returns:
-        The transformed env; ``env.transform[0]`` is the curriculum.
+        The transformed env; ``env.curriculum`` is the curriculum.
 
     Raises:
         TypeError: for an argument that neither this function nor the curriculum has.
@@ -98,10 +110,10 @@ def make_riding_env(
         seed=seed,
         dump_dir=dump_dir,
         compiled=compiled,
+        rewards=rewards,
     )
-    scale = reward_scale(env.readings)
     transforms = riding_transforms(
-        tuple(scale * value for value in MAX_TRACKING.values()),
+        _tracking_max(env),
         history_length=history_length,
         include_current=env.readings.current_in_history,
         max_steps=max_steps,
@@ -109,13 +121,24 @@ def make_riding_env(
         window=window,
         grid=grid,
         runaway_margin=runaway_margin,
-        runaway_penalty=scale * TERMINATION,
+        runaway_penalty=env.task.rewards.termination_cost,
         stored_once=stored_once,
         rest_key="speeds",
         seed=seed,
         **curriculum,
     )
-    return TransformedEnv(env, transforms)
+    return CurriculumEnv(env, transforms)
+
+
+def _tracking_max(env: RidingEnv) -> tuple[float, ...]:
+    """Return what the tracking terms come to at no error; the curriculum's scores are shares of it."""
+    for name, value in env.task.rewards.tracking_max.items():
+        if not value > 0:
+            raise RewardError(
+                f"the command curriculum scores the reward term {name!r}, which needs a positive weight; or put the "
+                "transforms of your choice around a RidingEnv"
+            )
+    return tuple(env.task.rewards.tracking_max.values())
 
 
 def _check_arguments(curriculum: Mapping[str, Any]) -> None:

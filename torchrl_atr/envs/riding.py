@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,9 +22,10 @@ from torchrl_atr.envs.physics.engine import DECIMATION, Engine
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
 from torchrl_atr.envs.task import randomization as intrinsics
-from torchrl_atr.envs.task import rewards
 from torchrl_atr.envs.task.core import ACTION_LIMIT, COMMAND_FEATURES, Outcome, RidingTask
 from torchrl_atr.envs.task.guard import as_float32, not_finite
+from torchrl_atr.envs.task.reward_terms import RewardTerm
+from torchrl_atr.envs.task.rewards import RIDING_REWARDS
 from torchrl_atr.envs.task.symmetry import reflections
 
 _LOGGED = 20
@@ -58,6 +60,7 @@ class RidingEnv(EnvBase):
         compiled: whether ``torch.compile`` makes one function of observations, rewards and terminations. Then making
             the env and its first step take half a minute (seconds, where torch has the result on disk) and the other
             steps less; needs a C++ compiler and Python's headers.
+        rewards: the terms of the reward by name, such as ``{**RIDING_REWARDS, "mine": RewardTerm(function, -0.1)}``.
 
     A simulation that diverges, or an observation or reward that is not finite, ends that robot's episode as terminated,
     with zeros where there was no number, and is counted and logged; the others do not notice.
@@ -109,6 +112,7 @@ class RidingEnv(EnvBase):
         seed: int | None = None,
         dump_dir: str | Path | None = None,
         compiled: bool = False,
+        rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     ) -> None:
         num_envs = check_whole("num_envs", num_envs, low=1)
         seed = check_whole("seed", seed, high=2**63 - 1, optional=True)
@@ -124,7 +128,9 @@ class RidingEnv(EnvBase):
             self.rng.manual_seed(seed)
         self.seeding: tuple[int, int] | None = None  # how often set_seed was called, and its last seed: transforms look
         engine = _make_engine(physics, scene, readings, num_envs, num_threads)
-        self.task = RidingTask(engine, readings, randomization, pushes, self.rng, moving_start, retry, compiled)
+        self.task = RidingTask(
+            engine, readings, randomization, pushes, self.rng, moving_start, retry, compiled, rewards
+        )
         self._recorder = None
         if dump_dir is not None:
             self._recorder = FlightRecorder(self.task, describe_scene(self.task, robot), Path(dump_dir))
@@ -186,7 +192,7 @@ class RidingEnv(EnvBase):
         observation = Composite(shape=(n,))
         for key, value in self._emitted.items():
             observation[key] = values(value.shape[-1])
-        for name in rewards.REWARD_TERMS:
+        for name in self.task.rewards.terms:
             observation["reward_terms", name] = values(1)
         self.observation_spec = observation
         self.state_spec = Composite(command=values(len(COMMAND_FEATURES)), shape=(n,))
@@ -259,7 +265,7 @@ class RidingEnv(EnvBase):
 
     def _pack(self, terminated: Tensor, terms: dict[str, Tensor] | None = None, **more: Tensor) -> TensorDict:
         """What was observed last, with reward terms (None for zero), flags and ``more``."""
-        terminated, names = terminated.unsqueeze(-1), rewards.REWARD_TERMS
+        terminated, names = terminated.unsqueeze(-1), self.task.rewards.terms
         terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape, dtype=torch.float32).unbind()))
         flags = {
             "terminated": terminated,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from torchrl_atr.envs.physics.engine import DECIMATION
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.task.core import ACTION_LIMIT, COMMAND_FEATURES, Outcome, RidingTask
 from torchrl_atr.envs.task.randomization import Randomization
+from torchrl_atr.envs.task.reward_terms import RewardTerm
+from torchrl_atr.envs.task.rewards import RIDING_REWARDS
 
 from dm_control.rl import control  # isort: skip  # after dmc, which says what to install
 from dm_env import specs  # isort: skip
@@ -29,6 +32,7 @@ def load(
     randomization: Randomization = "train",
     time_limit: float = 20.0,
     pushes: bool = True,
+    rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     random: int | np.random.RandomState | None = None,
 ) -> control.Environment:
     """One robot riding one transporter, through dm_control's API.
@@ -41,6 +45,7 @@ def load(
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
         time_limit: s, after which the episode ends with discount 1.
         pushes: whether robot and platform are pushed every 3 s.
+        rewards: the terms of the reward by name.
         random: a seed or a random state, as elsewhere in dm_control.
 
     Returns:
@@ -62,7 +67,7 @@ def load(
     rider = get_robot(robot)
     scene = build_scene(rider, get_transporter(transporter, rider), readings)
     engine = DmControlEngine(scene, readings)
-    core = RidingTask(engine, readings, randomization, pushes, torch.Generator())
+    core = RidingTask(engine, readings, randomization, pushes, torch.Generator(), rewards=rewards)
     task = SuiteTask(core, random)
     return control.Environment(engine.physics, task, time_limit=time_limit, n_sub_steps=DECIMATION)
 

@@ -27,7 +27,7 @@ from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 
 _PLAIN = {"auto_register_policy_transforms": False}
 """The policy brings no transforms of its own."""
-_CURRICULUM = "env.transform[0]"
+_CURRICULUM = "env.curriculum"
 _ENDLESS = 2**62
 """Frames, for the engines that do not read -1 as endless."""
 _RESUME_STRIDE = 7919
@@ -65,7 +65,7 @@ class Collection:
         started: int = 0,
     ) -> None:
         self.config, self.env, self.policy = config, env, policy
-        self.curriculum: CommandCurriculum = env.transform[0]
+        self.curriculum: CommandCurriculum = env.curriculum
         self.remote = config.collector != "direct"
         self.callable = config.collector in ("process", "ray")
         self._broken = False
@@ -266,5 +266,5 @@ def _worker_env(make_env: Callable[..., TransformedEnv], weights: Tensor, *, see
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the trainer decides
     torch.manual_seed(seed)
     env = make_env(seed=seed, **share)
-    env.transform[0].load_weights(weights)
+    env.curriculum.load_weights(weights)
     return env

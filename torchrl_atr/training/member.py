@@ -13,7 +13,6 @@ import torch
 from torchrl.envs import TransformedEnv
 
 from torchrl_atr._threads import TorchThreads
-from torchrl_atr.envs.task.rewards import MAX_TRACKING, reward_scale
 from torchrl_atr.training.assembly import make_env, make_policy, make_run_networks
 from torchrl_atr.training.collection import Collection
 from torchrl_atr.training.config import TrainConfig
@@ -39,8 +38,6 @@ class Member:
 
     def __init__(self, learner: Learner, collection: Collection, team: Team, threads: TorchThreads) -> None:
         self.learner, self.collection, self.team, self.threads = learner, collection, team, threads
-        scale = reward_scale(collection.env.base_env.readings)
-        self._tracking_max = {name: scale * value for name, value in MAX_TRACKING.items()}
 
     def lead(self, name: str, *arguments: Any) -> Any:
         """Has every member call its method ``name``; returns what the leader's returns."""
@@ -67,7 +64,7 @@ class Member:
         started = time.monotonic()
         batch = self.collection.collect()
         collected = time.monotonic()
-        metrics = batch_metrics(batch, self._tracking_max)
+        metrics = batch_metrics(batch)
         metrics.update(self.learner.update(batch))
         curriculum = self.collection.curriculum
         if self.team.size > 1:
@@ -141,7 +138,7 @@ def assist(team: Team, config: TrainConfig, run: Path) -> None:
         learner = Learner(make_run_networks(share, env), share)
         start = team.share(None)
         learner.load_state_dict(start["learner"])
-        env.transform[0].load_weights(start["weights"])
+        env.curriculum.load_weights(start["weights"])
         member = make_member(learner, env, team, run, threads, start["iteration"])
         if start["members"]:
             member.load_state(start["members"][team.rank])

@@ -2,35 +2,32 @@
 
 from __future__ import annotations
 
-import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torchrl_atr.envs.task.rewards import KERNEL_WIDTH
 from torchrl_atr.envs.task.state import CONTROL_DT
 
-_TRACKING = {"speed_error": "forward_command", "yaw_error": "steering_command"}
+_ERRORS = ("speed_error", "yaw_error")
+"""Of the two speeds that a command asks for."""
 
 
-def batch_metrics(batch: TensorDictBase, tracking_max: dict[str, float]) -> dict[str, float]:
+def batch_metrics(batch: TensorDictBase) -> dict[str, float]:
     """Means over a batch of the riding env.
 
     Args:
-        batch: (N, T) with ``next`` holding ``reward_terms``, ``step_count`` and the done flags.
-        tracking_max: what each tracking reward reaches at perfect tracking, as emitted.
+        batch: (N, T) with ``next`` holding ``speeds``, ``reward_terms``, ``step_count`` and the done flags.
 
     Returns:
-        ``speed_error`` (m/s) and ``yaw_error`` (rad/s), recovered from the tracking rewards; the same for the robots
-        that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw rate
-        that is reached (moving starts give an untrained rider some); ``episode_length`` (steps, with those that
+        ``speed_error`` (m/s) and ``yaw_error`` (rad/s), mean absolute differences of speeds and commands; the same for
+        the robots that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw
+        rate that is reached (moving starts give an untrained rider some); ``episode_length`` (steps, with those that
         staggered first episodes begin at) and ``episode_reward`` of finished episodes where there are any;
         ``falls``, terminations per robot and second, runaways included; ``reward/...`` means of the terms.
     """
     after = batch["next"]
     metrics = {}
     student = batch.get(("act", "student"), None)
-    for name, term in _TRACKING.items():
-        error = -KERNEL_WIDTH * torch.log((after["reward_terms", term] / tracking_max[term]).clamp_min(1e-12))
+    for name, error in zip(_ERRORS, (after["speeds"] - batch["command"]).abs().split(1, -1)):
         metrics[name] = float(error.mean())
         if student is not None and student.any():
             metrics[f"student_{name}"] = float(error[student].mean())

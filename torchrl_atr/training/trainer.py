@@ -92,7 +92,7 @@ class Trainer:
             share = self.config.share(0)
             self.env = env_maker(share, run)()
             check_model({"model": self._model}, self.env.base_env.scene, run)
-        self.curriculum = self.env.transform[0]
+        self.curriculum = self.env.curriculum
         if state is None and other is None:
             with self.threads:  # compiled steps are for that many
                 self._acquaint(networks)

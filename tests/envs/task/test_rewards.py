@@ -11,7 +11,8 @@ import torch
 from torchrl_atr.envs.models import ROBOTS
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.task.rewards import REWARD_TERMS, compute_rewards, outside_polygon, reward_term
+from torchrl_atr.envs.task.reward_terms import RewardError, RewardFunction, RewardTerm
+from torchrl_atr.envs.task.rewards import RIDING_REWARDS, outside_polygon
 
 Q0 = list(ROBOTS.get("a1").q0)
 TRACKING = ("forward_command", "steering_command")
@@ -59,11 +60,9 @@ SHEET = [
     ("body_orientation", {"euler": [0.3, -0.4, 2.0]}, -0.9 * 0.5),
     ("body_velocity", {"angular_velocity": [3, -4, 9], "velocity": [7, 7, -2]}, -1e-3 * (5.0 + 2.0)),
     ("action_smoothness", {"action": joints(3.0, 1.0), "previous_action": joints(0.0, 5.0)}, -1e-5 * 5.0),
-    (
-        "joint_smoothness",
-        {"torque": joints(3, 4), "joint_velocity": joints(6, 8), "joint_acceleration": joints(0, 1e4)},
-        -(1e-4 * 5 + 1e-4 * 10 + 1e-7 * 1e4),
-    ),
+    ("joint_torque", {"torque": joints(3, 4)}, -1e-4 * 5),
+    ("joint_velocity", {"joint_velocity": joints(6, 8)}, -1e-4 * 10),
+    ("joint_acceleration", {"joint_acceleration": joints(0, 1e4)}, -1e-7 * 1e4),
     ("postural_deviation", {"joint_position": [Q0[0] + 0.3, Q0[1] - 0.4, *Q0[2:]]}, -1e-2 * 0.5),
     # 2 × 1 counts; -3 × 1, 4 × (-1) brake
     (
@@ -80,20 +79,21 @@ SHEET = [
 ]
 
 
-def test_the_paper_has_eighteen_terms_and_the_sheet_covers_them():
-    assert len(REWARD_TERMS) == 18
-    assert list(dict.fromkeys(name for name, *_ in SHEET)) == list(REWARD_TERMS)
+def test_the_paper_has_eighteen_terms_with_twenty_weights_and_the_sheet_covers_them():
+    assert list(dict.fromkeys(term.symbol for term in RIDING_REWARDS.values())) == [f"r{i}" for i in range(18)]
+    assert len(RIDING_REWARDS) == 20
+    assert list(dict.fromkeys(name for name, *_ in SHEET)) == list(RIDING_REWARDS)
 
 
 @pytest.mark.parametrize(("name", "situation", "expected"), SHEET, ids=[f"{i}-{row[0]}" for i, row in enumerate(SHEET)])
 def test_term_by_hand(make_context, name, situation, expected):
-    value = REWARD_TERMS[name](make_context(**situation))
+    value = RIDING_REWARDS[name](make_context(**situation))
     assert value.shape == (1,)
     assert value.item() == pytest.approx(expected, rel=1e-5, abs=1e-6)
 
 
 def test_standing_still_as_asked_earns_the_two_tracking_rewards_alone(make_context):
-    terms = {name: term(make_context()).item() for name, term in REWARD_TERMS.items()}
+    terms = {name: term(make_context()).item() for name, term in RIDING_REWARDS.items()}
     assert {name for name, value in terms.items() if abs(value) > 1e-6} == set(TRACKING)
     assert terms["forward_command"] == terms["steering_command"] == 8.0
 
@@ -119,7 +119,7 @@ def test_a_lifted_foot_shrinks_the_polygon_only_if_read_so(make_context, term):
     lifted = {"foot_force": forces(30.0, 30.0, 0.0, 30.0), "com": [0.1, 0.06, 0.5]}
     for contacting, expected in ((False, 0.0), (True, -1.0)):
         context = make_context(**lifted, readings=Readings(contacting_polygon=contacting))
-        assert REWARD_TERMS[term](context).item() == expected
+        assert RIDING_REWARDS[term](context).item() == expected
 
 
 def test_penalties_are_never_positive(make_context):
@@ -137,23 +137,35 @@ def test_penalties_are_never_positive(make_context):
             terminated=bool(torch.rand((), generator=generator) < 0.5),
             **state,
         )
-        for name, term in REWARD_TERMS.items():
+        for name, term in RIDING_REWARDS.items():
             value = term(context)
             assert torch.isfinite(value).all(), name
             assert (value >= 0).all() if name in TRACKING else (value <= 0).all(), name
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.02])
-def test_terms_are_scaled_and_add_up(make_context, scale):
+@pytest.fixture(scope="module")
+def scene():
+    return RidingEnv(num_envs=1, seed=0, num_threads=1).scene
+
+
+def reward_function(scene, context, terms=RIDING_REWARDS, **readings):
+    return RewardFunction(terms, scene, Readings(**readings), context.state)
+
+
+@pytest.mark.parametrize(("times_dt", "scale"), [(False, 1.0), (True, 0.02)])
+def test_terms_are_scaled_and_add_up(make_context, scene, times_dt, scale):
     context = make_context(terminated=True, speeds=[0.4, 0.0], position=[0.2, 0.0, 0.4])
-    reward, terms = compute_rewards(context, scale=scale, clip_to_positive=False)
+    rewards = reward_function(scene, context, rewards_times_dt=times_dt)
+    reward, terms = rewards(context)
     assert reward.shape == (1, 1)
     assert torch.equal(reward, terms.sum(0))
-    for value, term in zip(terms, REWARD_TERMS.values(), strict=True):
+    for value, term in zip(terms, RIDING_REWARDS.values(), strict=True):
         torch.testing.assert_close(value, scale * term(context).unsqueeze(-1))
+    assert rewards.tracking_max == {"forward_command": 8.0 * scale, "steering_command": 8.0 * scale}
+    assert rewards.termination_cost == -10.0 * scale
 
 
-def test_clipping_cuts_the_sum_at_zero_and_adds_termination_after(make_context):
+def test_clipping_cuts_the_sum_at_zero_and_adds_termination_after(make_context, scene):
     bad = {"position": [3.0, 0.0, 0.455]}  # -90 for the position
     for situation, expected in (
         (bad, 0.0),
@@ -161,8 +173,18 @@ def test_clipping_cuts_the_sum_at_zero_and_adds_termination_after(make_context):
         ({}, 16.0),
         ({"terminated": True}, 6.0),
     ):
-        reward, _ = compute_rewards(make_context(**situation), scale=1.0, clip_to_positive=True)
+        context = make_context(**situation)
+        reward, _ = reward_function(scene, context, positive_rewards=True, rewards_times_dt=False)(context)
         assert reward.item() == pytest.approx(expected, abs=1e-4)
+
+
+def test_without_a_termination_term_nothing_but_the_sum_is_clipped(make_context, scene):
+    terms = {"slow": RewardTerm(lambda c: c.state.speeds[:, 0].abs(), -1.0)}
+    context = make_context(speeds=[0.4, 0.0], terminated=True)
+    rewards = reward_function(scene, context, terms, positive_rewards=True)
+    assert rewards(context)[0].item() == 0.0
+    assert rewards.termination_cost == 0.0
+    assert rewards.tracking_max == dict.fromkeys(TRACKING, 0.0)
 
 
 @pytest.mark.parametrize("profile", ["default", "ancestor"])
@@ -170,7 +192,7 @@ def test_the_env_emits_terms_that_make_up_its_reward(profile):
     env = RidingEnv(num_envs=3, seed=0, profile=profile, num_threads=1)
     steps = env.rollout(8, break_when_any_done=False)["next"]
     terms = steps["reward_terms"]
-    assert list(terms.keys()) == list(REWARD_TERMS)
+    assert list(terms.keys()) == list(RIDING_REWARDS)
     total = torch.stack(list(terms.values())).sum(0)
     if profile == "ancestor":
         total = (total - terms["termination"]).clamp_min(0.0) + terms["termination"]
@@ -187,12 +209,29 @@ def test_rewards_are_multiplied_by_the_control_period_unless_the_profile_says_no
     torch.testing.assert_close(rewards[0], 0.02 * rewards[1])
 
 
-def test_a_new_term_is_one_entry(make_context):
-    try:
-        reward_term("quiet")(lambda context: -context.action.abs().sum(-1))
-        _, terms = compute_rewards(make_context(action=joints(2.0)), scale=0.5, clip_to_positive=False)
-        assert terms[-1].item() == -1.0
-        with pytest.raises(ValueError, match="'quiet' is registered already"):
-            reward_term("quiet")(lambda context: context.action.sum(-1))
-    finally:
-        REWARD_TERMS.pop("quiet", None)
+@pytest.mark.parametrize(
+    ("terms", "message"),
+    [
+        ({}, "give a mapping of names to RewardTerm"),
+        ([1], "give a mapping of names to RewardTerm"),
+        ({"quiet": lambda c: c.action.sum(-1)}, "the reward term 'quiet' is <function"),
+        (
+            {"quiet": RewardTerm(lambda c: c.action, 1.0)},
+            r"'quiet' returned \(1, 12\); it must return floats of shape \(1,\)",
+        ),
+        ({"quiet": RewardTerm(lambda c: c.terminated, 1)}, r"'quiet' returned \(1,\); it must return floats"),
+        ({"quiet": RewardTerm(lambda c: 1.0, 1.0)}, "'quiet' returned float"),
+        ({"quiet": RewardTerm(lambda c: c.state.nose, 1.0)}, "'quiet' failed: AttributeError: .*nose"),
+    ],
+)
+def test_a_term_that_cannot_be_used_is_named(make_context, scene, terms, message):
+    with pytest.raises(RewardError, match=message):
+        reward_function(scene, make_context(), terms)
+
+
+@pytest.mark.parametrize("weight", ["1", None, True, float("nan"), float("inf")])
+def test_a_weight_is_a_finite_number(weight):
+    with pytest.raises(RewardError, match="is no finite number"):
+        RewardTerm(lambda c: c.action, weight)
+    with pytest.raises(RewardError, match="cannot be called"):
+        RewardTerm("action", 1.0)

@@ -7,7 +7,7 @@ from torchrl.envs import SerialEnv
 from torchrl.envs.utils import check_env_specs
 
 from torchrl_atr.envs import make_riding_env
-from torchrl_atr.envs.task.rewards import REWARD_TERMS
+from torchrl_atr.envs.task.rewards import RIDING_REWARDS
 from torchrl_atr.envs.transforms import StoredOnce
 
 
@@ -23,7 +23,7 @@ def collect(stored_once, steps=30):
 
 def test_what_is_stored_is_what_was_stored_but_once():
     once, twice = collect(True), collect(False)
-    dropped = {("next", "history"), *(("reward_terms", name) for name in REWARD_TERMS)}
+    dropped = {("next", "history"), *(("reward_terms", name) for name in RIDING_REWARDS)}
     kept = set(once.keys(True, True))
     assert {key for key in twice.keys(True, True) if isinstance(key, tuple) or key != "reward_terms"} - kept == dropped
     assert len(twice["next", "done"].any(0).nonzero()) > 5
@@ -37,7 +37,7 @@ def test_specs_tell_that_what_is_in_next_alone_is_not_observed():
     check_env_specs(env)
     assert "reward_terms" not in env.observation_spec
     assert "reward_terms" not in env.reset()
-    assert set(env.fake_tensordict()["next", "reward_terms"].keys()) == set(REWARD_TERMS)
+    assert set(env.fake_tensordict()["next", "reward_terms"].keys()) == set(RIDING_REWARDS)
 
 
 def test_steps_alone_hold_all_and_what_collectors_store_does_not():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,10 +17,12 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.task import disturbances, observations, rewards
+from torchrl_atr.envs.task import disturbances, observations
 from torchrl_atr.envs.task import randomization as intrinsics
 from torchrl_atr.envs.task.guard import all_finite, as_float32, bad_rows
 from torchrl_atr.envs.task.outlook import outlook
+from torchrl_atr.envs.task.reward_terms import TERMINATION, RewardFunction, RewardTerm
+from torchrl_atr.envs.task.rewards import RIDING_REWARDS
 from torchrl_atr.envs.task.rotations import rotate_back
 from torchrl_atr.envs.task.state import CONTROL_DT, Readout, RidingState, StateReader
 from torchrl_atr.envs.task.terminations import fallen
@@ -68,8 +71,10 @@ class RidingTask:
         moving_start: share of the episodes that start at part of the commanded speeds.
         retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again.
         compiled: whether what a step computes from the simulation is compiled (``compile_methods``).
+        rewards: the terms of the reward by name.
 
     Attributes:
+        rewards: the terms, and their sum.
         x_int: scaled intrinsic parameters, (N, 34).
         previous_action: a_{t-1}, (N, 12), zero at the start of an episode.
         odometry: body velocity by dead reckoning since the start of the episode, body frame, m/s, (N, 3).
@@ -92,6 +97,7 @@ class RidingTask:
         moving_start: float = 0.0,
         retry: float = 0.0,
         compiled: bool = False,
+        rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     ) -> None:
         self.moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
         self.retry = check_number("retry", retry, 0.0, 1.0)
@@ -111,6 +117,7 @@ class RidingTask:
         self.previous_action = torch.zeros(n, self.joints, dtype=torch.float32)
         self.odometry = torch.zeros(n, 3, dtype=torch.float32)
         self.x_int = intrinsics.sample_intrinsics(n, self.joints, "off", rng)
+        self.rewards = RewardFunction(rewards, self.scene, readings, self._reader.read())
         self.compiled = compiled
         self._compile()
         self.begin(np.arange(n))
@@ -223,19 +230,11 @@ class RidingTask:
         """Outcome, velocities and odometry after a step: a function of the arguments alone, which can be compiled."""
         state, velocities = self._reader.interpret(readout, velocities)
         terminated = fallen(state, self.scene, self.readings) | diverged
-        thickness = self.scene.transporter.size[2]
-        context = rewards.RewardContext(
-            state, command, action, previous_action, terminated, self.scene.robot, thickness, self.readings
-        )
-        reward, terms = rewards.compute_rewards(
-            context,
-            scale=rewards.reward_scale(self.readings),
-            clip_to_positive=self.readings.positive_rewards,
-        )
+        reward, terms = self.rewards(self.rewards.context(state, command, action, previous_action, terminated))
         odometry = observations.dead_reckoning(odometry, state)
         observed = self._observed(state, command, action, odometry, x_int)
         finite = all_finite([*observed.values(), terms, reward])
-        named = dict(zip(rewards.REWARD_TERMS, terms.unbind()))
+        named = dict(zip(self.rewards.terms, terms.unbind()))
         return Outcome(reward, named, terminated, observed, finite), velocities, odometry
 
     def end(self, rows: list[int], outcome: Outcome) -> None:
@@ -245,10 +244,11 @@ class RidingTask:
             rows: which robots.
             outcome: of the step, changed in place.
         """
-        cost = rewards.TERMINATION * rewards.reward_scale(self.readings)
         for term in outcome.terms.values():
             term[rows] = 0.0
-        outcome.terms["termination"][rows] = outcome.reward[rows] = cost
+        outcome.reward[rows] = self.rewards.termination_cost
+        if TERMINATION in outcome.terms:
+            outcome.terms[TERMINATION][rows] = self.rewards.termination_cost
         outcome.terminated[rows] = True
         self.fell = outcome.terminated
 

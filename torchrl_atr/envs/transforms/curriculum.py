@@ -38,7 +38,7 @@ class CommandCurriculum(OwnGenerator):
     ``SerialEnv`` or ``ParallelEnv``, ``env.set_seed(s)`` restarts it too, and parallel copies get different seeds; over
     another env :meth:`set_seed` does. With ``seed=None`` each instance seeds itself from the operating system; copies
     made with the same ``seed`` draw the same commands. Workers learn together through
-    ``collector.map_fn("env.transform[0].load_weights", ...)`` and :meth:`merge_`.
+    ``collector.map_fn("env.curriculum.load_weights", ...)`` and :meth:`merge_`.
 
     Only :meth:`pin` fixes a command. A ``command`` in a reset TensorDict is ignored.
 
