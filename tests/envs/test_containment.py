@@ -140,7 +140,7 @@ def test_a_dump_of_another_robot_of_that_name_is_refused(tmp_path, monkeypatch):
     ride(RidingEnv(stiff, num_envs=4, seed=0, dump_dir=tmp_path), monkeypatch, spoil_simulation)
     (path,) = tmp_path.iterdir()
     with pytest.raises(
-        InputError, match="another 'a1' on 'single_board_g1' than those known here .the robot's kp: 60 then"
+        InputError, match=r"another 'a1' on 'single_board_g1' than those known here .the robot's kp: 60 then"
     ):
         list(replay(path))
 
