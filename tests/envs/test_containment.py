@@ -136,12 +136,11 @@ def test_a_dump_that_cannot_be_written_does_not_end_the_run(tmp_path, monkeypatc
 
 
 def test_a_dump_of_another_robot_of_that_name_is_refused(tmp_path, monkeypatch):
-    stiff = dataclasses.replace(ROBOTS.get("a1"), kp=60.0)
+    stiff = dataclasses.replace(ROBOTS.get("a1"), kp=50.0)
     ride(RidingEnv(stiff, num_envs=4, seed=0, dump_dir=tmp_path), monkeypatch, spoil_simulation)
     (path,) = tmp_path.iterdir()
-    with pytest.raises(
-        InputError, match=r"another 'a1' on 'single_board_g1' than those known here .the robot's kp: 60 then"
-    ):
+    named = r"another 'a1' on 'single_board_g1' than the ones known here \(the robot's kp: 50 then, 40 now"
+    with pytest.raises(InputError, match=named):
         list(replay(path))
 
 
