@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs import ROBOTS, RidingEnv, get_transporter
+from torchrl_atr.envs import ROBOTS, RidingEnv
 from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.task import core
 from torchrl_atr.evaluation import replay
@@ -134,10 +134,11 @@ def test_a_dump_that_cannot_be_written_does_not_end_the_run(tmp_path, monkeypatc
 
 
 def test_a_dump_of_another_robot_of_that_name_is_refused(tmp_path, monkeypatch):
-    heavy = dataclasses.replace(get_transporter("single_board", ROBOTS.get("a1")), mass=30.0)
-    ride(RidingEnv(num_envs=4, seed=0, transporter=heavy, dump_dir=tmp_path), monkeypatch, spoil_simulation)
+    stiff = dataclasses.replace(ROBOTS.get("a1"), kp=50.0)
+    ride(RidingEnv(stiff, num_envs=4, seed=0, dump_dir=tmp_path), monkeypatch, spoil_simulation)
     (path,) = tmp_path.iterdir()
-    with pytest.raises(InputError, match="another 'a1' on 'single_board_g1' than the ones known here"):
+    named = r"another 'a1' on 'single_board_g1' than the ones known here \(the robot's kp: 50 then, 40 now"
+    with pytest.raises(InputError, match=named):
         list(replay(path))
 
 

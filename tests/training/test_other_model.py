@@ -24,9 +24,9 @@ def run(tmp_path_factory):
 
 @pytest.fixture
 def heavier(monkeypatch, tmp_path):
-    """The registered ``a1`` has a heavier thigh than when the run was trained."""
+    """The registered ``a1`` has heavier thighs than when the run was trained."""
     text = ROBOTS.get("a1").mjcf.read_text()
-    (tmp_path / "a1.xml").write_text(text.replace('mass="1.013"', 'mass="2"', 1))
+    (tmp_path / "a1.xml").write_text(text.replace('mass="1.013"', 'mass="2"'))
     monkeypatch.setitem(ROBOTS._entries, "a1", dataclasses.replace(ROBOTS.get("a1"), mjcf=tmp_path / "a1.xml"))
 
 

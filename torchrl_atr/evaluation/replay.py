@@ -101,7 +101,7 @@ def _scene(dump: dict[str, Any], path: Path) -> RidingEnv:
     changed = differences(scene["model"], describe(env.scene))
     if changed:
         raise InputError(
-            f"{path} is of another {env.scene.robot.name!r} on {env.scene.transporter.name!r} than those known here "
+            f"{path} is of another {env.scene.robot.name!r} on {env.scene.transporter.name!r} than the ones known here "
             f"({first_few(changed)}); replay it with those that it was written with"
         )
     return env

@@ -73,13 +73,15 @@ class Trainer:
         self.threads = torch_threads(config)
         self.env = env_maker(share, run)()
         scene = self.env.base_env.scene
+        if state is not None:
+            check_model(state, scene, run)
+        elif other is not None:
+            check_model(other, scene, Path(other["run"]), {*replaced, *_other_parts(config, other)})
         check_run_estimator(share, self.env)
         networks = make_run_networks(share, self.env)
         if state is not None:
-            check_model(state, scene, run)
             load_networks(networks, state["learner"]["networks"], run)
         elif other is not None:
-            check_model(other, scene, Path(other["run"]), {*replaced, *_other_parts(config, other)})
             load_networks(networks, deployed_weights(other["learner"]), Path(other["run"]))
         self._model = describe(scene)
         run.mkdir(parents=True, exist_ok=True)  # not before: what is refused has written and removed nothing
