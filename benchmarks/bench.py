@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import os
 import tempfile
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -23,6 +23,7 @@ from benchmarks.training import TrainingLoop, flops_per_frame, matrix_products, 
 from torchrl_atr._compilation import compiler
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._files import say
+from torchrl_atr._interrupt import end_children
 from torchrl_atr.training import TrainConfig
 from torchrl_atr.training.provenance import machine
 
@@ -88,7 +89,7 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
     results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}
     results["memory"] = _memory(plan)
     peers, results["skipped"] = available()
-    with ExitStack() as stack:
+    with ExitStack() as stack, _workers_end_first():
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         loops = [_loop(plan, size, scratch, riding) for size in plan.training_sizes for riding in (True, False)]
         makers: list[Maker] = [partial(loop.contender, plan.cpus) for loop in loops]
@@ -109,6 +110,16 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
     results["machine"]["load_after"] = os.getloadavg()[0]
     report.write(results, folder)
     return results
+
+
+@contextmanager
+def _workers_end_first() -> Iterator[None]:
+    """Where this is stopped, kill the workers: ``ParallelEnv.close`` would wait for answers that do not come."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        end_children()
+        raise
 
 
 def _origin() -> dict[str, Any]:
