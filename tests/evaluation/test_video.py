@@ -55,9 +55,9 @@ def test_a_ride_follows_the_sequence_and_unpins(env, stand):
     for command, fell in ride(stand, env, commands, 4):
         seen.append((command, fell))
     assert seen == [((0.25, 0.0), False)] * 2 + [((0.5, 0.25), False)] * 2
-    assert env.curriculum.command.tolist() == [[0.5, 0.25]] * 2
+    assert env.transform[0].command.tolist() == [[0.5, 0.25]] * 2
     env.reset()
-    assert env.curriculum.command.tolist() != [[0.5, 0.25]] * 2
+    assert env.transform[0].command.tolist() != [[0.5, 0.25]] * 2
 
 
 def test_the_policy_sees_the_command_of_its_step(env):
