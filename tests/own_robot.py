@@ -50,7 +50,11 @@ def write_robot(folder: Path, absolute: str = "") -> Path:
     main.write_text(text[:start] + loads + text[start:])
     facts = {**FACTS, "name": "mine", "mjcf": str(main) if "toml" in absolute else "xml/mine.xml"}
     toml = folder / "mine.toml"
-    toml.write_text("# mine\n" + "\n".join(f"{name} = {json.dumps(value)}" for name, value in facts.items()) + "\n")
+    toml.write_text(
+        "# mine\n"
+        + "\n".join(f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in facts.items())
+        + "\n"
+    )
     return toml
 
 

@@ -50,6 +50,14 @@ class KeepsState(Plain):
         return out
 
 
+class KeepsStateOfOneSize(Plain):
+    last = 0.0
+
+    def forward(self, history):
+        self.last = super().forward(history) + self.last
+        return self.last
+
+
 class KeepsStateInTraining(Plain):
     last = None
 
@@ -138,9 +146,10 @@ def registered(monkeypatch):
     [
         (TwoOutputs, "'output'", "return one Tensor"),
         (KeepsState, "'deterministic'", "keep no state between calls"),
+        (KeepsStateOfOneSize, "'deterministic'", "Keep no state between calls"),
         (KeepsStateInTraining, "'training'", "no state between calls"),
-        (Detached, "RuntimeError", "does not require grad"),
-        (DetachedWeights, "RuntimeError", "does not require grad"),
+        (Detached, "'gradients'", "carries no gradient"),
+        (DetachedWeights, "'gradients'", "carries no gradient"),
         (NoCopy, "'copy'", "one of a kind"),
         (WrongShape, "'shape'", "return (16,)"),
         (NotFinite, "'finite'", "non-finite output"),

@@ -131,7 +131,14 @@ def _check_outputs(net: nn.Module, history_shape: tuple[int, int], out_features:
 
 def _check_behaviour(net: nn.Module, history: Tensor) -> None:
     before = history.clone()
-    out = net(history)
+    try:
+        out = net(history)
+    except Exception as error:  # another batch of as many dimensions has passed
+        raise _failure(
+            "deterministic",
+            f"after other batches a history of shape {tuple(history.shape)} raised {type(error).__name__}: "
+            f"{first_line(error)}. Keep no state between calls, and count on no size of the batch.",
+        ) from error
     _require(
         torch.equal(history, before),
         "input unchanged",
@@ -153,7 +160,13 @@ def _check_behaviour(net: nn.Module, history: Tensor) -> None:
 
 def _check_gradients(net: nn.Module, history: Tensor) -> None:
     net.zero_grad()
-    net(history).square().sum().backward()
+    out = net(history)
+    _require(
+        out.requires_grad,
+        "gradients",
+        "the output carries no gradient; do not detach or run under no_grad, and have a trainable parameter.",
+    )
+    out.square().sum().backward()
     dead = [
         name
         for name, parameter in net.named_parameters()

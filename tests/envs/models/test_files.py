@@ -62,6 +62,17 @@ def test_links_are_followed(tmp_path):
     assert not any(path.is_symlink() for path in (tmp_path / "copy").rglob("*"))
 
 
+def test_paths_of_any_characters(tmp_path):
+    toml = write_robot(tmp_path / "so urce 😀", "toml folders files include")
+    original = description(toml)
+    copy = copy_robot(toml, tmp_path / "copy")
+    assert "😀" not in copy.read_text(encoding="utf-8")
+    apart = tmp_path / "apart" / "mine.toml"
+    apart.parent.mkdir()
+    apart.write_text(toml.read_text(encoding="utf-8"), encoding="utf-8")
+    assert differences(original, description(copy_robot(apart, tmp_path / "other copy"))) == []
+
+
 def test_what_only_looks_like_a_dependency_is_no_hindrance(tmp_path):
     toml = write_robot(tmp_path / "source")
     main = tmp_path / "source" / "xml" / "mine.xml"

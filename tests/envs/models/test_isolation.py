@@ -251,6 +251,75 @@ def test_a_scene_written_to_a_file_simulates_the_same_bit_for_bit(tmp_path, name
     )
 
 
+def attached(folder: Path, text: str) -> RobotSpec:
+    """A robot whose file does nothing but attach another one, in a folder below, without a prefix."""
+    (folder / "parts").mkdir(parents=True)
+    (folder / "parts" / "robot.xml").write_text(text)
+    path = folder / "main.xml"
+    path.write_text(
+        '<mujoco><compiler angle="degree" meshdir="nowhere"/><asset><model name="r" file="parts/robot.xml"/></asset>'
+        '<worldbody><frame pos="1 2 3"><attach model="r" body="trunk" prefix=""/></frame></worldbody></mujoco>'
+    )
+    return dataclasses.replace(A1, name="mine", mjcf=path)
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")
+@pytest.mark.filterwarnings("ignore:Attaching a spec with an empty prefix")
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "",
+        'boundmass="1"',
+        'settotalmass="20"',
+        'balanceinertia="true" alignfree="true"',
+        'inertiafromgeom="true" inertiagrouprange="2 2"',
+        'meshdir="m"',
+    ],
+)
+def test_a_robot_that_attaches_another_model_is_that_model_and_can_be_written(tmp_path, setting):
+    """The attached file has compiler settings, global defaults and meshes of its own."""
+    text = TEXT.replace('angle="radian"', f'angle="radian" {setting}').replace(
+        "<default>", '<default><geom condim="4" friction="0.3 0.1 0.1"/><joint damping="0.3"/>', 1
+    )
+    text = text.replace('<freejoint name="root"/>', '<freejoint name="root"/><geom size="0.01" mass="0.001"/>')
+    text = text.replace('<geom type="sphere" size="0.02"', '<geom type="mesh" mesh="foot"')
+    file = "foot.obj" if "meshdir" in setting else "m/foot.obj"
+    asset = f'<asset><mesh name="foot" file="{file}" scale="0.02 0.02 0.02"/></asset>'
+    robot = attached(tmp_path / "source", text.replace("<worldbody>", f"{asset}<worldbody>"))
+    (tmp_path / "source" / "parts" / "m").mkdir()
+    (tmp_path / "source" / "parts" / "m" / "foot.obj").write_text(MESH)
+    alone = mujoco.MjModel.from_xml_path(str(robot.mjcf))
+    deck, path = get_transporter("two_board", robot), tmp_path / "scene.xml"
+    scene = build_scene(robot, deck)
+    for name in (alone.body(i).name for i in range(1, alone.nbody)):
+        for field in ("mass", "inertia", "ipos", "iquat"):
+            ours, theirs = (getattr(of.body(name), field) for of in (scene.model, alone))
+            np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-15, err_msg=f"{field} of {name}")
+    path.write_text(scene_xml(robot, deck, Readings()))
+    np.testing.assert_array_equal(simulate(mujoco.MjModel.from_xml_path(str(path))), simulate(scene.model))
+
+
+def test_a_foot_may_be_called_as_the_scenes_sensors_are(tmp_path):
+    names = ("robot", "com", "FL_foot", "RL_foot")
+    robot = a1_with(tmp_path, feet=names)
+    robot.mjcf.write_text(TEXT.replace('"FR_foot"', '"robot"').replace('"RR_foot"', '"com"'))
+    ours, theirs = (build_scene(each, get_transporter("single_board", A1)) for each in (A1, robot))
+    np.testing.assert_array_equal(simulate(ours.model), simulate(theirs.model))
+    assert ours.layout.sensors == theirs.layout.sensors
+
+
+def test_names_of_any_kind_are_written(tmp_path):
+    robot = a1_with(tmp_path, trunk="trünk 😀", feet=("FR <&\"' ü", *A1.feet[1:]))
+    text = TEXT.replace('"FR_foot"', '"FR &lt;&amp;&quot;\' ü"').replace('name="trunk"', 'name="trünk 😀"')
+    robot.mjcf.write_text(text, encoding="utf-8")
+    robot = dataclasses.replace(robot, name='my "robot" <&>')
+    deck, path = get_transporter("two_board", robot), tmp_path / "scene.xml"
+    path.write_text(scene_xml(robot, deck, Readings()), encoding="utf-8")
+    np.testing.assert_array_equal(
+        simulate(mujoco.MjModel.from_xml_path(str(path))), simulate(build_scene(robot, deck).model)
+    )
+
+
 CORNERS = "\n".join(f"v {x} {y} {z}" for x in (-1, 1) for y in (-1, 1) for z in (-1, 1))
 MESH = f"{CORNERS}\nf 1 2 3\nf 5 6 7\nf 1 4 8\n"
 

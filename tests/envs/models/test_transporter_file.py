@@ -56,6 +56,11 @@ def test_a_file_is_a_transporter_wherever_one_is_chosen(tmp_path, monkeypatch):
         ({"design": "unicycle"}, "design='unicycle' is none; choose one of single_board, two_board"),
         ({"design": 2}, "design=2 is none"),
         ({"name": ""}, "name='' is not a name"),
+        ({"mass": 1e300}, "mass=1e+300 must be positive"),
+        ({"mass": 10**400}, "must be positive"),
+        ({"mass": 1e-300}, "mass=1e-300 must be positive"),
+        ({"sb_stiffness": [1e300, 1]}, "sb_stiffness holds 1e+300"),
+        ({"tilt_norm": 45}, "tilt_norm=45: degrees? give radians"),
         ({"size": 3.0}, "size=3.0 is not a list; give length, width and thickness in m"),
     ],
 )

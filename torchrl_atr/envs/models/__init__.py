@@ -3,7 +3,8 @@
 from torchrl_atr.envs.models.loading import load_robot
 from torchrl_atr.envs.models.robot import LEGS, ROBOTS, RobotError, RobotSpec, register_robot
 from torchrl_atr.envs.models.robot_file import get_robot, read_robot
-from torchrl_atr.envs.models.scene import Layout, Scene, build_scene, scene_spec, scene_xml
+from torchrl_atr.envs.models.saving import scene_xml
+from torchrl_atr.envs.models.scene import Layout, Scene, build_scene, scene_spec
 from torchrl_atr.envs.models.transporter import (
     DESIGNS,
     SINGLE_BOARD,

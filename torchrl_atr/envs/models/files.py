@@ -86,7 +86,7 @@ def _point_to(mjcf: Path, toml: Path) -> None:
     values = tomllib.loads(toml.read_text(encoding="utf-8-sig"))
     if os.path.normpath(toml.parent / values["mjcf"]) != str(mjcf):
         values["mjcf"] = os.path.relpath(mjcf, toml.parent)
-        text = "".join(f"{name} = {json.dumps(value)}\n" for name, value in values.items())
+        text = "".join(f"{name} = {json.dumps(value, ensure_ascii=False)}\n" for name, value in values.items())
         toml.write_text(text, encoding="utf-8")
 
 

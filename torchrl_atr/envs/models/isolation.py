@@ -105,12 +105,28 @@ def _reset_settings(spec: mujoco.MjSpec) -> None:
         _reset(getattr(spec, part), getattr(fresh, part))
     for part in ("global_", "headlight", "map", "quality", "rgba", "scale"):
         _reset(getattr(spec.visual, part), getattr(fresh.visual, part))
-    _reset(spec.compiler, fresh.compiler, keep=(*_NOTATION, *_INERTIAL, "LRopt"))
+    for compiler in _compilers(spec):
+        _reset(compiler, fresh.compiler, keep=(*_NOTATION, *_INERTIAL, "LRopt"))
     for name in (*_SIZES, *_USER_SIZES):
         setattr(spec, name, getattr(fresh, name))
-    for kind in ("joint", "geom", "site", "camera", "light", "material", "actuator"):
-        # what the file's elements had from its global defaults they keep; what the scene adds starts from MuJoCo's own
-        _reset(getattr(spec.default, kind), getattr(fresh.default, kind))
+    for default in _global_defaults(spec):
+        for kind in ("joint", "geom", "site", "camera", "light", "material", "actuator"):
+            _reset(getattr(default, kind), getattr(fresh.default, kind))
+
+
+def _compilers(spec: mujoco.MjSpec) -> list[Any]:
+    """The compiler settings of the file, and of the models that it attaches: each part keeps those it was read with."""
+    return [spec.compiler, *(body.compiler for body in spec.bodies)]
+
+
+def _global_defaults(spec: mujoco.MjSpec) -> list[Any]:
+    """The classes ``main`` of the file, and of the models that it attaches, as far as an element is in them.
+
+    What the file's elements had from them they keep; what the scene adds starts from MuJoCo's own.
+    """
+    elements = (*spec.geoms, *spec.joints, *spec.sites, *spec.cameras, *spec.materials, *spec.meshes)
+    classes = [element.classname for element in elements]
+    return [spec.default, *(each for each in classes if each.name == spec.default.name)]
 
 
 def _reset(settings: Any, fresh: Any, keep: Iterable[str] = ()) -> None:
@@ -125,8 +141,8 @@ def write_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
     The scene's own bodies, and a file that the scene is saved to, are then free of them.
     """
-    fresh = mujoco.MjSpec().compiler
-    if all(np.array_equal(getattr(spec.compiler, name), getattr(fresh, name)) for name in _INERTIAL):
+    fresh, compilers = mujoco.MjSpec().compiler, _compilers(spec)
+    if all(np.array_equal(getattr(each, name), getattr(fresh, name)) for each in compilers for name in _INERTIAL):
         return
     for body in spec.bodies[1:]:
         if model.body_mass[body.id] > 0:
@@ -135,8 +151,9 @@ def write_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
             body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
             body.fullinertia = np.full(6, np.nan)
             body.explicitinertial = True
-    for name in _INERTIAL:
-        setattr(spec.compiler, name, getattr(fresh, name))
+    for compiler in compilers:
+        for name in _INERTIAL:
+            setattr(compiler, name, getattr(fresh, name))
 
 
 def check_names(spec: mujoco.MjSpec, fixtures: mujoco.MjSpec, robot: RobotSpec) -> None:

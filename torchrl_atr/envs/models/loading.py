@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -51,6 +52,7 @@ def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     _check_feet(model, robot)
     _check_legs(model, robot)
     write_inertias(spec, model)
+    _locate_attached(spec, model)
     _name_feet(spec, model, robot)
     _add_actuators(spec, model, robot)
     return spec, model
@@ -150,6 +152,21 @@ def _check_legs(model: mujoco.MjModel, robot: RobotSpec) -> None:
                 f"leg {leg}: foot {foot!r} hangs on {', '.join(chain) or 'no joint'}, but joints lists "
                 f"{', '.join(listed)}; list joints, feet and q0 leg by leg, {', '.join(LEGS)}, from trunk to foot"
             )
+
+
+def _locate_attached(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Make paths of what attached models read absolute: those are relative to folders that no saved scene knows."""
+    for kind, elements, folder in (
+        ("mesh", spec.meshes, "meshdir"),
+        ("hfield", spec.hfields, "meshdir"),
+        ("skin", spec.skins, "meshdir"),
+        ("tex", spec.textures, "texturedir"),
+    ):
+        for element in elements:
+            if element.file and getattr(element.compiler, folder) != getattr(spec, folder):
+                address = int(getattr(model, f"{kind}_pathadr")[element.id])
+                path = model.paths[address:].split(b"\0", 1)[0]
+                element.file = os.path.abspath(os.fsdecode(path))
 
 
 def _name_feet(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: RobotSpec) -> None:

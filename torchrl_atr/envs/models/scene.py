@@ -10,7 +10,7 @@ import numpy as np
 from torchrl_atr.envs.models.decks import DECK_HEIGHT, PLANAR_JOINTS, PLATFORM, add_transporter
 from torchrl_atr.envs.models.feet import find_feet
 from torchrl_atr.envs.models.isolation import check_names
-from torchrl_atr.envs.models.loading import blame_file, compile_spec, load_robot
+from torchrl_atr.envs.models.loading import compile_spec, load_robot
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.stance import standing_qpos
 from torchrl_atr.envs.models.transporter import TransporterSpec
@@ -18,6 +18,8 @@ from torchrl_atr.envs.profiles import Readings
 
 STAND = "stand"
 """Keyframe of the robot standing in q0 with ctrl = q0; the scene has no other."""
+_ROBOT_FORCE = "robot_force"
+"""Unlike any of the feet's sensors, ``force_`` and ``position_`` with a geom's name."""
 TIMESTEP = 0.005
 """Simulation step, s (200 Hz)."""
 _ARMATURE_RATIO = 200.0
@@ -78,6 +80,11 @@ def build_scene(robot: RobotSpec, transporter: TransporterSpec, readings: Readin
         12
     """
     model = compile_spec(scene_spec(robot, transporter, readings or Readings()), robot)
+    return join(robot, transporter, model)
+
+
+def join(robot: RobotSpec, transporter: TransporterSpec, model: mujoco.MjModel) -> Scene:
+    """Return the scene of which ``model`` is the compiled one."""
     return Scene(robot, transporter, model, _layout(model, robot, transporter))
 
 
@@ -101,17 +108,6 @@ def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Reading
     key = spec.add_key(name=STAND, qpos=qpos, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
     key.qvel = np.zeros(model.nv)
     return spec
-
-
-def scene_xml(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> str:
-    """Return the scene as an MJCF file that MuJoCo reads as the same model, to the last bit; meshes by absolute path.
-
-    Raises:
-        RobotError: as :func:`build_scene`, or if MuJoCo cannot write the robot as MJCF.
-    """
-    spec = scene_spec(robot, transporter, readings)
-    with blame_file(robot):
-        return spec.to_xml()
 
 
 def _add_fixtures(spec: mujoco.MjSpec, transporter: TransporterSpec, readings: Readings, armature: float) -> None:
@@ -188,7 +184,7 @@ def _add_sensors(spec: mujoco.MjSpec, feet: list[str], robot: RobotSpec) -> None
 
     for foot in feet:
         add_force(f"force_{foot}", mujoco.mjtObj.mjOBJ_GEOM, foot)
-    add_force("force_robot", mujoco.mjtObj.mjOBJ_XBODY, robot.trunk)
+    add_force(_ROBOT_FORCE, mujoco.mjtObj.mjOBJ_XBODY, robot.trunk)
     for foot in feet:
         spec.add_sensor(
             name=f"position_{foot}",
@@ -251,7 +247,7 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec, transporter: TransporterSpe
         tilt_gains=np.array([hinge.gain for hinge in hinges]),
         sensors={
             "foot_force": sensor(f"force_{first}", f"force_{last}"),
-            "robot_force": sensor("force_robot", "force_robot"),
+            "robot_force": sensor(_ROBOT_FORCE, _ROBOT_FORCE),
             "foot_position": sensor(f"position_{first}", f"position_{last}"),
             "com": sensor("com", "com"),
         },

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import tomllib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,6 +12,8 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._registry import nearest
 
 SUFFIX = ".toml"
+SMALLEST, LARGEST = 1e-6, 1e6
+"""Of positive numbers in SI units, and of all: what is beyond is a slip, and overflows or vanishes in the solver."""
 S = TypeVar("S")
 
 
@@ -72,8 +73,13 @@ def read_spec(
 
 
 def is_number(value: object) -> bool:
-    """Whether ``value`` is a finite number, and no truth value."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    """Whether ``value`` is a number that physics can compute with, and no truth value.
+
+    Example:
+        >>> [is_number(value) for value in (-3, 0.5, True, float("nan"), 1e300, 10**400)]
+        [True, True, False, False, False, False]
+    """
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def check_text(spec: Spec, *names: str) -> None:
@@ -102,5 +108,5 @@ def check_list(spec: Spec, name: str, kind: type, size: int, remedy: str) -> Non
 
 def check_positive(spec: Spec, name: str, value: object, remedy: str = "must be a positive number") -> None:
     """Check a number of the field ``name``."""
-    if not is_number(value) or value <= 0:  # type: ignore[operator]
+    if not is_number(value) or value < SMALLEST:  # type: ignore[operator]
         raise spec.error(f"{name}={value!r} {remedy}")

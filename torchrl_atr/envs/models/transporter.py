@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import Registry, unknown
 from torchrl_atr.envs.models.robot import GROUPS, RobotSpec
-from torchrl_atr.envs.models.spec_file import check_list, check_positive, check_text, is_spec_file, read_spec
+from torchrl_atr.envs.models.spec_file import (
+    LARGEST,
+    SMALLEST,
+    check_list,
+    check_positive,
+    check_text,
+    is_spec_file,
+    read_spec,
+)
 from torchrl_atr.envs.profiles import Readings
 
 Matrix = tuple[tuple[float, float], tuple[float, float]]
@@ -76,7 +84,7 @@ class Design:
         return tuple(hinge for board in self.boards for hinge in board.hinges)
 
 
-_POSITIVE = "must be positive (a number in SI units)"
+_POSITIVE = f"must be positive (a number in SI units, {SMALLEST:g} to {LARGEST:g})"
 _X, _Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 SINGLE_BOARD = Design(
     boards=(Board("deck", 0.0, 1.0, (Hinge("platform_pitch", _Y, 1), Hinge("platform_roll", _X, 0))),),
@@ -139,6 +147,8 @@ class TransporterSpec:
             check_positive(self, "size", side, _POSITIVE)
         for name in ("mass", "max_acceleration", "max_yaw_acceleration", "tilt_norm", "spring_scale"):
             check_positive(self, name, getattr(self, name), _POSITIVE)
+        if self.tilt_norm > np.pi:
+            raise self.error(f"tilt_norm={self.tilt_norm:g}: degrees? give radians")
         check_list(self, "resistance", float, 3, "give the coefficients c0, c1 and c2")
         for name in ("sb_stiffness", "sb_damping"):
             check_list(self, name, float, 2, "give those of roll and pitch, or of the right and the left board")
