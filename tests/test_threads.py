@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 import torch
 
@@ -13,6 +15,7 @@ from torchrl_atr._threads import TorchThreads
 def threads(monkeypatch):
     """Eight threads on eight CPUs, entered."""
     monkeypatch.setattr(_threads, "available_cpus", lambda: 8)
+    monkeypatch.setattr(_threads, "cpu_mask", lambda: list(range(8)))
     with TorchThreads(8) as entered:
         yield entered
 
@@ -37,10 +40,34 @@ def test_it_is_said_once(threads, capsys):
     for others in (7.5, 0.0, 0.0, 0.0, 7.5):
         threads.adapt(others)
     said = capsys.readouterr().out.splitlines()
-    assert said == [
-        "other processes keep 7.5 of 8 CPUs busy: torch works with 1 instead of 8 threads until they are free "
-        "(torch_threads fixes the number)"
-    ]
+    assert said == ["other processes keep 7.5 of 8 CPUs busy: until they are free torch works with 1 of 8 threads"]
+
+
+def test_it_is_said_by_one_process_of_a_run(threads, capsys):
+    threads._announce = None
+    threads.adapt(7.5)
+    assert threads.count == 1
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(("others", "count"), [(0.0, 4), (50.0, 4), (61.0, 2), (64.0, 1)])
+def test_a_quota_on_a_large_machine_leaves_room_for_neighbours(monkeypatch, others, count):
+    monkeypatch.setattr(_threads, "available_cpus", lambda: 4)
+    monkeypatch.setattr(_threads, "cpu_mask", lambda: list(range(64)))
+    with TorchThreads(4) as threads:
+        threads.adapt(others)
+        assert threads.count == count
+
+
+def test_slow_measurements_are_rare(threads, monkeypatch):
+    def measure():
+        time.sleep(0.05)
+        return 0.0
+
+    monkeypatch.setattr(threads._load, "measure", measure)
+    threads._next = 0.0
+    threads.update()
+    assert threads._next - time.monotonic() > 4.0
 
 
 def test_the_number_before_is_restored():
