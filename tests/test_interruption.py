@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -172,6 +173,60 @@ def test_a_signal_during_the_imports_is_met(tmp_path):
     process.send_signal(signal.SIGTERM)
     assert process.communicate(timeout=PATIENCE) == (b"", b"stopped\n")
     assert process.returncode == 143
+
+
+SWALLOWS = """
+import signal, time
+try:
+    signal.raise_signal(signal.{name})
+    time.sleep(0.2)
+except BaseException:
+    pass
+"""
+
+
+def _import(name):
+    importlib.import_module(name)
+    time.sleep(5.0)
+
+
+@pytest.fixture
+def untraced():
+    """Without a debugger or a measurement of coverage, whose trace function would stay."""
+    before = sys.gettrace()
+    sys.settrace(None)
+    yield
+    assert sys.gettrace() is None
+    sys.settrace(before)
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_module_that_takes_a_signal_for_a_missing_part_of_its_own_does_not_keep_it(
+    monkeypatch, tmp_path, untraced, name
+):
+    (tmp_path / f"swallows_{name}.py").write_text(SWALLOWS.format(name=name), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    started = time.monotonic()
+    with pytest.raises(Stopped) as stop, Interrupt():
+        _import(f"swallows_{name}")
+    assert stop.value.signal == getattr(signal, name)
+    assert 0.2 < time.monotonic() - started < 4.0
+    assert sys.modules[f"swallows_{name}"].time is time  # the import was not torn
+
+
+def test_an_import_that_does_not_end_is_stopped_by_the_next_signal(monkeypatch, tmp_path, untraced):
+    lines = (
+        "import signal, time",
+        "for _ in range(2):",
+        "    signal.raise_signal(signal.SIGINT)",
+        "    time.sleep(0.1)",
+    )
+    (tmp_path / "endless.py").write_text("\n".join(lines), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(_interrupt, "_REPEAT", 0.05)
+    with pytest.raises(Stopped), Interrupt():
+        _import("endless")
+    assert "endless" not in sys.modules
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

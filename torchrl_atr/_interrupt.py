@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _REPEAT = 1.0
@@ -54,19 +54,25 @@ class Interrupt:
         self.notice = notice
         self.signal: int | None = None
         self._since = 0.0
+        self._home: FrameType | None = None
+        self._importer: FrameType | None = None
         self._previous: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interrupt:
         if threading.current_thread() is threading.main_thread():
+            self._home = sys._getframe(1)
             self._previous = {number: signal.signal(number, self._handle) for number in SIGNALS}
         return self
 
     def __exit__(self, *exception: Any) -> None:
+        self._home = None
+        self._disarm()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
     def mute(self) -> None:
         """Let nothing interrupt the end of a process that has been stopped; the handlers before do not come back."""
+        self._disarm()
         for number in self._previous:
             signal.signal(number, signal.SIG_IGN)
         self._previous = {}
@@ -78,10 +84,43 @@ class Interrupt:
         self._since = now
         if first:
             self.signal = number
-        if not first or self.notice is None:
+        if not first:
+            self._disarm()
             raise Stopped(number)
+        if self.notice is None:
+            self._stop(number, frame)
+            return
         with suppress(RuntimeError):  # the signal came while the same stream was being written
             self.notice()
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        """Raise; if an import is going on, where it ends: modules take any error for a missing part and go on."""
+        self._importer = self._find_importer(frame)
+        if self._importer is None or sys.gettrace() is not None:  # a debugger's
+            raise Stopped(number)
+
+        def stop(*event: Any) -> NoReturn:  # an error in a trace function ends the tracing
+            raise Stopped(number)
+
+        self._importer.f_trace = stop
+        sys.settrace(lambda *call: None)
+
+    def _find_importer(self, frame: FrameType | None) -> FrameType | None:
+        """Return the frame of this part of the program that is in the middle of an import, if one is."""
+        found, inner = None, False
+        while frame is not None and frame is not self._home:
+            within = frame.f_code.co_filename.startswith("<frozen importlib")
+            if inner and not within:
+                found = frame
+            frame, inner = frame.f_back, within
+        return frame if inner and frame is not None else found
+
+    def _disarm(self) -> None:
+        """Forget what :meth:`_stop` has prepared."""
+        if self._importer is not None and self._importer.f_trace is not None:
+            self._importer.f_trace = None
+            sys.settrace(None)
+        self._importer = None
 
 
 @contextmanager
