@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import Registry, unknown
 from torchrl_atr.envs.models.robot import GROUPS, RobotSpec
-from torchrl_atr.envs.models.spec_file import check_list, check_positive, check_text, is_spec_file, read_spec
+from torchrl_atr.envs.models.spec_file import (
+    check_list,
+    check_names,
+    check_positive,
+    check_text,
+    is_spec_file,
+    read_spec,
+)
 from torchrl_atr.envs.profiles import Readings
 
 Matrix = tuple[tuple[float, float], tuple[float, float]]
@@ -203,6 +210,7 @@ def get_transporter(transporter: str | Path | Mapping[str, Any] | TransporterSpe
         return transporter
     if isinstance(transporter, Mapping):
         values = dict(transporter)
+        check_names(values, TransporterSpec, "transporter", TransporterError)
         _convert(values)
         return TransporterSpec(**values)
     if is_spec_file(transporter):
