@@ -84,26 +84,24 @@ class Interrupt:
         self._since = now
         if first:
             self.signal = number
-        if not first:
+        if not first or self.notice is None:
             self._disarm()
-            raise Stopped(number)
-        if self.notice is None:
             self._stop(number, frame)
             return
         with suppress(RuntimeError):  # the signal came while the same stream was being written
             self.notice()
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
-        """Raise; if an import is going on, where it ends: modules take any error for a missing part and go on."""
-        self._importer = self._find_importer(frame)
-        if self._importer is None or sys.gettrace() is not None:  # a debugger's
-            raise Stopped(number)
+        """Raise, and once more where an import ends: some modules take any error for a missing part and go on."""
 
         def stop(*event: Any) -> NoReturn:  # an error in a trace function ends the tracing
             raise Stopped(number)
 
-        self._importer.f_trace = stop
-        sys.settrace(lambda *call: None)
+        self._importer = self._find_importer(frame)
+        if self._importer is not None and sys.gettrace() is None:  # else a debugger's
+            self._importer.f_trace = stop
+            sys.settrace(lambda *call: None)
+        stop()
 
     def _find_importer(self, frame: FrameType | None) -> FrameType | None:
         """Return the frame of this part of the program that is in the middle of an import, if one is."""
