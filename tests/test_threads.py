@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 
 import pytest
@@ -9,6 +10,7 @@ import torch
 
 from torchrl_atr import _threads
 from torchrl_atr._threads import TorchThreads
+from torchrl_atr.cli.printing import StepCounter
 
 
 @pytest.fixture
@@ -100,3 +102,15 @@ def test_a_fixed_number_stays(arguments, monkeypatch):
 def test_the_default_is_torchs_own_within_the_available_cpus(monkeypatch):
     monkeypatch.setattr(_threads, "available_cpus", lambda: 1)
     assert TorchThreads().limit == 1
+
+
+def test_the_line_is_not_appended_to_the_one_that_is_redrawn(threads, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    with StepCounter("evaluating", every=1) as counter:
+        threads._announce = counter.note
+        counter(1, 2)
+        threads.adapt(7.5)
+        counter(2, 2)
+    lines = capsys.readouterr().out.replace("\r", "").splitlines()
+    assert [line.split()[0] for line in lines] == ["evaluating:", "other", "evaluating:"]
+    assert all(len(line) <= 120 for line in lines)
