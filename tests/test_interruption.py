@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -172,6 +173,49 @@ def test_a_signal_during_the_imports_is_met(tmp_path):
     process.send_signal(signal.SIGTERM)
     assert process.communicate(timeout=PATIENCE) == (b"", b"stopped\n")
     assert process.returncode == 143
+
+
+SWALLOWS = """
+import signal, time
+for _ in range({times}):
+    try:
+        signal.raise_signal(signal.{name})
+    except BaseException:
+        time.sleep(0.1)
+over = True
+"""
+
+
+def _import(name):
+    importlib.import_module(name)
+    time.sleep(5.0)
+
+
+@pytest.fixture
+def untraced():
+    """Without a debugger or a measurement of coverage, whose trace function would stay."""
+    before = sys.gettrace()
+    sys.settrace(None)
+    yield
+    assert sys.gettrace() is None
+    sys.settrace(before)
+
+
+@pytest.mark.parametrize("times", [1, 2])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_module_that_takes_signals_for_missing_parts_of_its_own_does_not_keep_them(
+    monkeypatch, tmp_path, untraced, name, times
+):
+    module = f"swallows_{name}_{times}"
+    (tmp_path / f"{module}.py").write_text(SWALLOWS.format(name=name, times=times), encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(_interrupt, "_REPEAT", 0.05)
+    started = time.monotonic()
+    with pytest.raises(Stopped) as stop, Interrupt():
+        _import(module)
+    assert stop.value.signal == getattr(signal, name)
+    assert time.monotonic() - started < 4.0
+    assert sys.modules[module].over
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

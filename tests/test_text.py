@@ -109,7 +109,7 @@ def test_lines_of_training_fit_120_columns(tmp_path, capsys, size):
     progress._shown = {each.name: 1.2345 * size for each in progress_module._SHOWN}
     progress._shown |= {"frames": 123_456_789, "minutes": 60.0 * 99}
     lines = [*progress_module._HEAD.splitlines(), progress._line()]
-    assert {len(line) for line in lines} == {118}
+    assert {len(line) for line in lines} == {119}
     assert len(lines[-1].split()) == len(progress_module._SHOWN) + 1
     progress._shown = {"frames": 100, "minutes": 1.0}  # what the first iterations lack
     assert progress._line().split()[1:-1] == ["-"] * (len(progress_module._SHOWN) - 1)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import sys
+import time
+
 import pytest
 import torch
 
 from torchrl_atr import _threads
 from torchrl_atr._threads import TorchThreads
+from torchrl_atr.cli.printing import StepCounter
 
 
 @pytest.fixture
 def threads(monkeypatch):
     """Eight threads on eight CPUs, entered."""
     monkeypatch.setattr(_threads, "available_cpus", lambda: 8)
+    monkeypatch.setattr(_threads, "cpu_mask", lambda: list(range(8)))
     with TorchThreads(8) as entered:
         yield entered
 
@@ -37,10 +42,34 @@ def test_it_is_said_once(threads, capsys):
     for others in (7.5, 0.0, 0.0, 0.0, 7.5):
         threads.adapt(others)
     said = capsys.readouterr().out.splitlines()
-    assert said == [
-        "other processes keep 7.5 of 8 CPUs busy: torch works with 1 instead of 8 threads until they are free "
-        "(torch_threads fixes the number)"
-    ]
+    assert said == ["other processes keep 7.5 of 8 CPUs busy: until they are free torch works with 1 of 8 threads"]
+
+
+def test_it_is_said_by_one_process_of_a_run(threads, capsys):
+    threads._announce = None
+    threads.adapt(7.5)
+    assert threads.count == 1
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(("others", "count"), [(0.0, 4), (50.0, 4), (61.0, 2), (64.0, 1)])
+def test_a_quota_on_a_large_machine_leaves_room_for_neighbours(monkeypatch, others, count):
+    monkeypatch.setattr(_threads, "available_cpus", lambda: 4)
+    monkeypatch.setattr(_threads, "cpu_mask", lambda: list(range(64)))
+    with TorchThreads(4) as threads:
+        threads.adapt(others)
+        assert threads.count == count
+
+
+def test_slow_measurements_are_rare(threads, monkeypatch):
+    def measure():
+        time.sleep(0.05)
+        return 0.0
+
+    monkeypatch.setattr(threads._load, "measure", measure)
+    threads._next = 0.0
+    threads.update()
+    assert threads._next - time.monotonic() > 4.0
 
 
 def test_the_number_before_is_restored():
@@ -73,3 +102,15 @@ def test_a_fixed_number_stays(arguments, monkeypatch):
 def test_the_default_is_torchs_own_within_the_available_cpus(monkeypatch):
     monkeypatch.setattr(_threads, "available_cpus", lambda: 1)
     assert TorchThreads().limit == 1
+
+
+def test_the_line_is_not_appended_to_the_one_that_is_redrawn(threads, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    with StepCounter("evaluating", every=1) as counter:
+        threads._announce = counter.note
+        counter(1, 2)
+        threads.adapt(7.5)
+        counter(2, 2)
+    lines = capsys.readouterr().out.replace("\r", "").splitlines()
+    assert [line.split()[0] for line in lines] == ["evaluating:", "other", "evaluating:"]
+    assert all(len(line) <= 120 for line in lines)

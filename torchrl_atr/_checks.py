@@ -11,6 +11,8 @@ import numpy as np
 
 from torchrl_atr._errors import InputError
 
+_LARGEST = 2**63 - 1
+
 
 def check_whole(name: str, value: Any, low: int | None = 0, high: int | None = None, optional: bool = False) -> Any:
     """Return ``value`` as an ``int`` if it is a whole number of the range; a bool is not.
@@ -19,7 +21,7 @@ def check_whole(name: str, value: Any, low: int | None = 0, high: int | None = N
         name: of the argument, for the message.
         value: what was given; integers of NumPy count.
         low: smallest value; None for none.
-        high: largest value; None for none.
+        high: largest value; None for what 64 bits hold.
         optional: whether None is a value too, which is returned as it is.
 
     Raises:
@@ -36,7 +38,7 @@ def check_whole(name: str, value: Any, low: int | None = 0, high: int | None = N
         return None
     if isinstance(value, numbers.Integral) and not isinstance(value, bool):
         number = int(value)
-        if (low is None or low <= number) and (high is None or number <= high):
+        if (low is None or low <= number) and number <= (_LARGEST if high is None else high):
             return number
     span = "" if low is None else f", {low} or more" if high is None else f", {low} to {high}"
     raise InputError(f"{name}={value!r}: choose a whole number{span}{', or None' if optional else ''}")
@@ -65,7 +67,10 @@ def check_number(
         torchrl_atr._errors.InputError: retry=True: choose a number in [0, 1]
     """
     if isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_):
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:  # an int beyond any float
+            number = math.inf
         if math.isfinite(number) and low <= number <= high and (above is None or number > above):
             return number
     if above is not None:
@@ -154,4 +159,34 @@ def check_kind(name: str, value: Any, kind: type | tuple[type, ...], wanted: str
     """
     if not (isinstance(value, kind) or (optional and value is None)):
         raise InputError(f"{name}={value!r}: give {wanted}{', or None' if optional else ''}")
+    return value
+
+
+def check_key(name: str, value: Any, optional: bool = False) -> Any:
+    """Return ``value`` if it is the name of an entry, or a tuple of nested names.
+
+    Raises:
+        InputError: for anything else.
+
+    Example:
+        >>> check_key("out_key", ("next", "history"))
+        ('next', 'history')
+        >>> check_key("out_key", (1, 2))
+        Traceback (most recent call last):
+        torchrl_atr._errors.InputError: out_key=(1, 2): give a key: a text or a tuple of texts
+    """
+    parts = value if isinstance(value, tuple) and value else (value,)
+    if not (all(isinstance(part, str) for part in parts) or (optional and value is None)):
+        raise InputError(f"{name}={value!r}: give a key: a text or a tuple of texts{', or None' if optional else ''}")
+    return value
+
+
+def check_keys(name: str, value: Any, wanted: str = "a list of keys") -> Any:
+    """Return ``value`` if it is a list or tuple of keys.
+
+    Raises:
+        InputError: for anything else.
+    """
+    for key in check_kind(name, value, (list, tuple), wanted):
+        check_key(name, key)
     return value

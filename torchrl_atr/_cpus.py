@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 import psutil
@@ -20,8 +21,8 @@ def available_cpus() -> int:
         >>> available_cpus() >= 1
         True
     """
-    quota = cgroup_quota()
-    return len(_mask()) if quota is None else max(1, min(len(_mask()), int(quota)))
+    quota, mask = cgroup_quota(), len(cpu_mask())
+    return mask if quota is None else max(1, min(mask, int(quota)))
 
 
 def cgroup_quota(root: Path = _CGROUPS, membership: Path = Path("/proc/self/cgroup")) -> float | None:
@@ -40,19 +41,25 @@ def cgroup_quota(root: Path = _CGROUPS, membership: Path = Path("/proc/self/cgro
         1.5
     """
     try:
-        lines = membership.read_text(encoding="utf-8").splitlines()
+        lines = membership.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
     except OSError:  # not Linux
         return None
-    quotas = []
-    for line in lines:
-        _, controllers, path = line.split(":", 2)
-        if controllers and "cpu" not in controllers.split(","):
-            continue
-        mount = root / controllers if controllers else root  # version 1 mounts each hierarchy by its controllers
-        inside = PurePosixPath(path).relative_to("/")
-        for group in (inside, *inside.parents):
-            quotas.append(_quota(mount / group))
-    return min((quota for quota in quotas if quota is not None), default=None)
+    groups = (group for line in lines for group in _groups(line, root))
+    return min((quota for quota in map(_quota, groups) if quota is not None), default=None)
+
+
+def _groups(line: str, root: Path) -> Iterator[Path]:
+    """Yield the folders of a line's cgroup and of those above it, where the line's hierarchy has CPU quotas."""
+    _, controllers, path = line.split(":", 2)
+    if not controllers:  # version 2
+        mounts = [root]
+    elif "cpu" in controllers.split(","):  # version 1: by the controllers' names in some order, and a link
+        mounts = [root / controllers, root / "cpu"]
+    else:
+        return
+    inside = PurePosixPath(path).relative_to("/")
+    for mount in mounts:
+        yield from (mount / group for group in (inside, *inside.parents))
 
 
 def _quota(group: Path) -> float | None:
@@ -66,7 +73,8 @@ def _quota(group: Path) -> float | None:
         return None
 
 
-def _mask() -> list[int]:
+def cpu_mask() -> list[int]:
+    """Return the CPUs that this process's threads may be put on."""
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))
@@ -76,7 +84,8 @@ class NeighbourLoad:
     """Measure how many of this process's CPUs other processes keep busy.
 
     The load is what its CPUs did less what this process and its descendants did: it sees neighbours of any user, on
-    Linux also the host's other machines (stolen time), and nothing of this process's own threads.
+    Linux also the host's other machines (stolen time), and nothing of this process's own threads. Where the system
+    does not tell, it is zero.
 
     Example:
         >>> load = NeighbourLoad()
@@ -87,24 +96,36 @@ class NeighbourLoad:
 
     def __init__(self) -> None:
         self._process = psutil.Process()
+        self._load = 0.0
         self._last = self._read()
 
     def measure(self) -> float:
         """Return the CPUs that others used on average since the last call (or the construction)."""
         before, self._last = self._last, self._read()
-        seconds, busy, own = (now - then for now, then in zip(self._last, before))
-        return max(0.0, (busy - own) / seconds) if seconds > 0 else 0.0
+        if before is not None and self._last is not None:
+            seconds, busy, own = (now - then for now, then in zip(self._last, before))
+            if seconds > 0 and own >= 0:  # less than before: a descendant ended while the list was read
+                self._load = min(max(0.0, (busy - own) / seconds), float(len(cpu_mask())))
+        return self._load
 
-    def _read(self) -> tuple[float, float, float]:
+    def _read(self) -> tuple[float, float, float] | None:
         """Return the time and the CPU seconds so far: of all processes on this process's CPUs, and of its own."""
-        every = psutil.cpu_times(percpu=True)
-        mask = [cpu for cpu in _mask() if cpu < len(every)]
+        try:
+            every = psutil.cpu_times(percpu=True)
+            family = [self._process, *self._process.children(recursive=True)]
+        except (psutil.Error, OSError, NotImplementedError):  # sandboxes may forbid it
+            return None
+        mask = cpu_mask()
+        if len(mask) != len(every):  # else all of them, though some containers and systems number them otherwise
+            every = [every[cpu] for cpu in mask if cpu < len(every)]
         idle = ("idle", "iowait", "guest", "guest_nice")  # a guest's time is part of user's
-        busy = sum(sum(v for k, v in every[cpu]._asdict().items() if k not in idle) for cpu in mask)
-        own = 0.0
-        for process in (self._process, *self._process.children(recursive=True)):
-            try:
-                own += sum(process.cpu_times()[:4])  # user and system, and those of children that ended
-            except psutil.Error:  # ended meanwhile
-                continue
-        return time.monotonic(), busy, own
+        busy = sum(value for times in every for name, value in times._asdict().items() if name not in idle)
+        return time.monotonic(), busy, sum(map(_cpu_seconds, family))
+
+
+def _cpu_seconds(process: psutil.Process) -> float:
+    """Return the CPU seconds of a process and of those children of it that ended; none if it has ended itself."""
+    try:
+        return float(sum(process.cpu_times()[:4]))  # user and system, and those of children
+    except psutil.Error:
+        return 0.0

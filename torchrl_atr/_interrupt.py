@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import Any
+from typing import Any, NoReturn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _REPEAT = 1.0
@@ -54,19 +54,25 @@ class Interrupt:
         self.notice = notice
         self.signal: int | None = None
         self._since = 0.0
+        self._home: FrameType | None = None
+        self._importer: FrameType | None = None
         self._previous: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interrupt:
         if threading.current_thread() is threading.main_thread():
+            self._home = sys._getframe(1)
             self._previous = {number: signal.signal(number, self._handle) for number in SIGNALS}
         return self
 
     def __exit__(self, *exception: Any) -> None:
+        self._home = None
+        self._disarm()
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
     def mute(self) -> None:
         """Let nothing interrupt the end of a process that has been stopped; the handlers before do not come back."""
+        self._disarm()
         for number in self._previous:
             signal.signal(number, signal.SIG_IGN)
         self._previous = {}
@@ -79,9 +85,40 @@ class Interrupt:
         if first:
             self.signal = number
         if not first or self.notice is None:
-            raise Stopped(number)
+            self._disarm()
+            self._stop(number, frame)
+            return
         with suppress(RuntimeError):  # the signal came while the same stream was being written
             self.notice()
+
+    def _stop(self, number: int, frame: FrameType | None) -> None:
+        """Raise, and once more where an import ends: some modules take any error for a missing part and go on."""
+
+        def stop(*event: Any) -> NoReturn:  # an error in a trace function ends the tracing
+            raise Stopped(number)
+
+        self._importer = self._find_importer(frame)
+        if self._importer is not None and sys.gettrace() is None:  # else a debugger's
+            self._importer.f_trace = stop
+            sys.settrace(lambda *call: None)
+        stop()
+
+    def _find_importer(self, frame: FrameType | None) -> FrameType | None:
+        """Return the frame of this part of the program that is in the middle of an import, if one is."""
+        found, inner = None, False
+        while frame is not None and frame is not self._home:
+            within = frame.f_code.co_filename.startswith("<frozen importlib")
+            if inner and not within:
+                found = frame
+            frame, inner = frame.f_back, within
+        return frame if inner and frame is not None else found
+
+    def _disarm(self) -> None:
+        """Forget what :meth:`_stop` has prepared."""
+        if self._importer is not None and self._importer.f_trace is not None:
+            self._importer.f_trace = None
+            sys.settrace(None)
+        self._importer = None
 
 
 @contextmanager

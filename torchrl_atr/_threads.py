@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import torch
 
-from torchrl_atr._cpus import NeighbourLoad, available_cpus
+from torchrl_atr._cpus import NeighbourLoad, available_cpus, cpu_mask
 from torchrl_atr._files import say
 
 _INTERVAL = 2.0
 """Seconds between two measurements of the neighbours' load."""
+_SHARE = 0.01
+"""Share of the time that measurements may take, where there are so many processes that they take long."""
 _SLACK = 0.4
 """CPUs that neighbours may use before torch leaves them one."""
 _QUIET = 3
@@ -28,6 +31,7 @@ class TorchThreads:
     Args:
         limit: the most threads; 0 for as many as torch has, within the CPUs that this process may use.
         adaptive: whether the number follows the free CPUs. Results depend on it to rounding.
+        announce: called with the line; None for silence.
 
     Attributes:
         count: threads in use.
@@ -38,10 +42,10 @@ class TorchThreads:
         (None, 1)
     """
 
-    def __init__(self, limit: int = 0, adaptive: bool = True) -> None:
+    def __init__(self, limit: int = 0, adaptive: bool = True, announce: Callable[[str], object] | None = say) -> None:
         self.limit = self.count = limit or min(torch.get_num_threads(), available_cpus())
         self.adaptive = adaptive and self.limit > 1
-        self._said = False
+        self._announce = announce
         self._calm = 0
 
     def __enter__(self) -> TorchThreads:
@@ -57,10 +61,12 @@ class TorchThreads:
 
     def update(self) -> None:
         """Measure and adapt if it is time; to be called often, from the thread that uses torch."""
-        if not self.adaptive or time.monotonic() < self._next:
+        started = time.monotonic()
+        if not self.adaptive or started < self._next:
             return
         self.adapt(self._load.measure())
-        self._next = time.monotonic() + _INTERVAL
+        now = time.monotonic()
+        self._next = now + max(_INTERVAL, (now - started) / _SHARE)
 
     def adapt(self, others: float) -> None:
         """Choose the number of threads for a load.
@@ -68,16 +74,17 @@ class TorchThreads:
         Args:
             others: CPUs that other processes keep busy.
         """
-        fitting, free = self.limit, available_cpus() - others + _SLACK
+        cpus = len(cpu_mask())
+        fitting, free = self.limit, min(available_cpus(), cpus - others + _SLACK)
         while fitting > 1 and fitting > free:
             fitting //= 2
         self._calm = self._calm + 1 if fitting > self.count else 0
-        if fitting < self.count and not self._said:
-            self._said = True
-            say(
-                f"other processes keep {others:.1f} of {available_cpus()} CPUs busy: torch works with {fitting} "
-                f"instead of {self.limit} threads until they are free (torch_threads fixes the number)"
+        if fitting < self.count and self._announce is not None:
+            self._announce(
+                f"other processes keep {others:.1f} of {cpus} CPUs busy: until they are free torch works with "
+                f"{fitting} of {self.limit} threads"
             )
+            self._announce = None
         if fitting < self.count or self._calm >= _QUIET:
             self.count, self._calm = fitting, 0
             torch.set_num_threads(fitting)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
+import json
 import pickle
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -190,7 +193,7 @@ _RIDE = """
 import sys, torch
 torch.set_default_dtype(getattr(torch, sys.argv[1]))
 from torchrl_atr.envs import make_riding_env
-from torchrl_atr.modules import make_networks
+from torchrl_atr.modules import leg_synergies, make_networks
 torch.manual_seed(0)
 env = make_riding_env(num_envs=3, seed=0, num_threads=1, max_steps=20, window=15, stagger=5, retry=0.5,
                       moving_start=0.5, runaway_margin=(2.0, 2.0))
@@ -201,7 +204,8 @@ for _ in range(60):
     total += step["next", "observation"].double().sum().item() + step["next", "reward"].double().sum().item()
 assert env.observation_spec["observation"].dtype == torch.float32
 assert all(value.dtype == torch.float32 for value in env.base_env.reflections.values())
-networks = make_networks(env.observation_spec, env.action_spec, reflections=env.base_env.reflections)
+networks = make_networks(env.observation_spec, env.action_spec, reflections=env.base_env.reflections,
+                         noise_basis=leg_synergies())
 assert env.rollout(2, networks.rollout_policy("mixed"))["action"].dtype == torch.float32
 print(repr(total))
 """
@@ -292,6 +296,22 @@ def test_wrong_kinds_of_arguments_are_named(name, value):
         (lambda: RunawayTermination(CommandCurriculum((0.2, 0.2)), margin=3.0), "margin must be two positive"),
         (lambda: RunawayTermination(None), "curriculum=None"),
         (lambda: StaggeredCounter(5.5), "max_steps=5.5"),
+        (lambda: StaggeredCounter(10**400), "max_steps=1000"),
+        (lambda: CommandGrid(increment=10**400), "increment=1000"),
+        (lambda: CommandCurriculum((True, 0.2)), "tracking_max=True"),
+        (lambda: CommandCurriculum(torch.tensor(0.2)), "tracking_max="),
+        (lambda: CommandCurriculum((0.2, 0.2), tracking_keys=(1, 2)), "tracking_keys=1"),
+        (lambda: CommandCurriculum((0.2, 0.2), rest_key=(1, 2)), "rest_key="),
+        (lambda: CommandCurriculum((0.2, 0.2), command_key=()), "command_key="),
+        (lambda: RunawayTermination(CommandCurriculum((0.2, 0.2)), speeds_key=None), "speeds_key=None"),
+        (lambda: RunawayTermination(CommandCurriculum((0.2, 0.2)), reward_keys=(1,)), "reward_keys=1"),
+        (lambda: ObservationHistory(2, out_key=("a", 1)), "out_key="),
+        (lambda: StoredOnce(in_next=(1,)), "in_next=1"),
+        (lambda: make(history_length=2.5), "history_length=2.5"),
+        (lambda: make(runaway_margin=2.0), "runaway_margin must be"),
+        (lambda: make(num_threads=10**400), "num_threads=1000"),
+        (lambda: make(transporter={}), "there is no name, design"),
+        (lambda: make(transporter={"disc": 1}), "unknown key 'disc'"),
         (lambda: StaggeredCounter(5, every=2.5), "every=2.5"),
         (lambda: StoredOnce(at_root="history"), "at_root='history'"),
     ],
@@ -299,6 +319,40 @@ def test_wrong_kinds_of_arguments_are_named(name, value):
 def test_wrong_kinds_of_the_transforms_arguments_are_named(provoke, name):
     with pytest.raises(ValueError, match=name):
         provoke()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("latent_features", 0),
+        ("latent_features", 2.5),
+        ("actor_cells", "x"),
+        ("critic_cells", (8, True)),
+        ("privileged_critic", 1),
+        ("estimator_kwargs", 3),
+        ("reflections", 3),
+        ("keys", "observation"),
+        ("action_spec", None),
+        ("observation_spec", {}),
+    ],
+)
+def test_wrong_kinds_of_the_networks_arguments_are_named(name, value):
+    env = make()
+    specs = {"observation_spec": env.observation_spec, "action_spec": env.action_spec}
+    with pytest.raises(InputError, match="spec" if "spec" in name else name):
+        make_networks(**{**specs, name: value})
+
+
+def test_tracking_limits_may_be_a_tensor():
+    assert CommandCurriculum(torch.tensor([0.25, 0.5]))._required.tolist() == [50.0, 100.0]
+
+
+def test_numbers_of_numpy_are_settings_too():
+    config = TrainConfig(
+        num_envs=np.int64(4), gamma=np.float32(0.5), compiled=np.bool_(False), critic_cells=(np.int64(8),)
+    )
+    assert json.loads(json.dumps(dataclasses.asdict(config)))["num_envs"] == 4
+    assert config == TrainConfig(num_envs=4, gamma=0.5, compiled=False, critic_cells=(8,))
 
 
 @pytest.mark.parametrize(

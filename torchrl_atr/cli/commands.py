@@ -97,7 +97,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     env.close()
     grid = command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step)
     with folder_for(output):
-        with StepCounter("evaluating") as counter, TorchThreads() as threads:
+        with StepCounter("evaluating") as counter, TorchThreads(announce=counter.note) as threads:
 
             def progress(done: int, total: int) -> None:
                 threads.update()

@@ -52,12 +52,21 @@ class StepCounter:
             say(f"\r{text}" if self._redraws else text, end="" if self._redraws else "\n")
             self._open = self._redraws
 
+    def note(self, text: str) -> None:
+        """Write a line of its own."""
+        self._end_line()
+        say(text)
+
+    def _end_line(self) -> None:
+        if self._open:
+            say("")
+            self._open = False
+
     def __enter__(self) -> StepCounter:
         return self
 
     def __exit__(self, *exception: Any) -> None:
-        if self._open:
-            say("")
+        self._end_line()
 
 
 def headlines(metrics: dict[str, Any]) -> Iterator[str]:

@@ -125,8 +125,8 @@ class ActorBackbone(nn.Module):
         pairs = torch.tensor(products, dtype=torch.long).reshape(-1, 2)
         self.register_buffer("_gates", pairs[:, 0], persistent=False)  # where the input is: lists would be sent there
         self.register_buffer("_gated", pairs[:, 1], persistent=False)
-        basis = torch.eye(action_features) if noise_basis is None else noise_basis
-        self.register_buffer("noise_basis", check_basis(basis, action_features))
+        basis = check_basis(torch.eye(action_features) if noise_basis is None else noise_basis, action_features)
+        self.register_buffer("noise_basis", basis)
         # Adam's steps are alike in all outputs. In units of the exploration's variance, a column's share of the
         # divergence follows what its exploration can teach: what is explored little does not use up the trust region.
         exploration = StateIndependentStd(action_features, init_std, min_std)

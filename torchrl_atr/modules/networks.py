@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
+from torchrl_atr._checks import check_flag, check_kind, check_whole
 from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.critic import AsymmetricCritic
@@ -21,7 +22,7 @@ from torchrl_atr.modules.encoder import IntrinsicEncoder
 from torchrl_atr.modules.estimators import NormalizedEstimator, build_estimator, get_estimator
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
-from torchrl_atr.modules.sizes import entry, entry_shape, estimator_sizes
+from torchrl_atr.modules.sizes import check_widths, entry, entry_shape, estimator_sizes
 
 
 class RidingNetworks(nn.Module):
@@ -234,6 +235,12 @@ def make_networks(
         >>> sorted(networks.deployed_policy().in_keys)
         ['history', 'observation']
     """
+    check_whole("latent_features", latent_features, low=1)
+    check_widths(actor_cells=actor_cells, critic_cells=critic_cells)
+    check_flag("privileged_critic", privileged_critic)
+    check_kind("estimator_kwargs", estimator_kwargs, Mapping, "a mapping of arguments", optional=True)
+    check_kind("reflections", reflections, Mapping, "a matrix by key", optional=True)
+    check_kind("keys", keys, NetworkKeys, "NetworkKeys(...)", optional=True)
     keys = keys or NetworkKeys()
     (obs,) = entry_shape(observation_spec, keys.observation, 1)
     history_shape = entry_shape(observation_spec, keys.history, 2)

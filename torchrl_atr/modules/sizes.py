@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from tensordict import NestedKey
 from torchrl.data import Composite, TensorSpec
 
+from torchrl_atr._checks import check_kind, check_whole
 from torchrl_atr._registry import nearest
 from torchrl_atr.modules.keys import NetworkKeys
 
@@ -15,6 +18,7 @@ def entry(spec: TensorSpec, key: NestedKey) -> TensorSpec:
     Raises:
         KeyError: if there is no such entry; names the nearest one.
     """
+    check_kind("spec", spec, TensorSpec, "a spec of the env's")
     if not isinstance(spec, Composite):
         return spec
     if key not in spec.keys(True, True):
@@ -79,3 +83,17 @@ def estimator_sizes(
     if keys.odometry is not None and keys.odometry in observation_spec.keys(True, True):
         (side,) = entry_shape(observation_spec, keys.odometry, 1)
     return {"intrinsic": ((length, features), latent_features), "extrinsic": ((length, features + side), extrinsic)}
+
+
+def check_widths(**cells: Sequence[int]) -> None:
+    """Check hidden widths, by the arguments' names.
+
+    Raises:
+        InputError: for what is no list of whole numbers, 1 or more.
+
+    Examples:
+        >>> check_widths(actor_cells=(512, 256))
+    """
+    for name, widths in cells.items():
+        for width in check_kind(name, widths, (list, tuple), "a list of widths"):
+            check_whole(name, width, low=1)

@@ -20,7 +20,7 @@ from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import SOURCES, Source
-from torchrl_atr.training.ranges import BOUNDS, RANGES, wrong_kind
+from torchrl_atr.training.ranges import BOUNDS, RANGES, plain, wrong_kind
 
 COLLECTORS = ("direct", "process", "ray", "distributed")
 """Engines that collect batches."""
@@ -176,6 +176,7 @@ class TrainConfig:
         for field in dataclasses.fields(self):
             if problem := wrong_kind(field.name, getattr(self, field.name), field.default):
                 raise ConfigError(problem)
+            object.__setattr__(self, field.name, plain(getattr(self, field.name)))
         import_modules(self.imports)  # first: they register the names below
         for name, (low, high) in RANGES.items():
             value = getattr(self, name)

@@ -12,6 +12,7 @@ from typing import Any
 import torch
 from torchrl.envs import TransformedEnv
 
+from torchrl_atr._files import say
 from torchrl_atr._threads import TorchThreads
 from torchrl_atr.training.assembly import make_env, make_policy, make_run_networks
 from torchrl_atr.training.collection import Collection
@@ -94,10 +95,10 @@ class Member:
         torch.set_rng_state(state["rng"])  # last: building all this drew from it
 
 
-def torch_threads(config: TrainConfig) -> TorchThreads:
+def torch_threads(config: TrainConfig, announce: Callable[[str], object] | None = say) -> TorchThreads:
     """Return torch's threads for one process of a run, as a context manager."""
     share = 0 if config.learners == 1 else config.threads_each(config.learners)
-    return TorchThreads(config.torch_threads or share, adaptive=config.torch_threads == 0)
+    return TorchThreads(config.torch_threads or share, adaptive=config.torch_threads == 0, announce=announce)
 
 
 def env_maker(config: TrainConfig, run: Path) -> Callable[..., TransformedEnv]:
@@ -133,7 +134,7 @@ def assist(team: Team, config: TrainConfig, run: Path) -> None:
     """
     share = config.share(team.rank)
     torch.manual_seed(share.seed)
-    with torch_threads(config) as threads:
+    with torch_threads(config, announce=None) as threads:  # the leader's line is enough
         env = env_maker(share, run)()
         learner = Learner(make_run_networks(share, env), share)
         start = team.share(None)

@@ -44,12 +44,12 @@ _SHOWN = (
     _Shown("extrinsic_error", "extrinsic error, std", "{:.3f}", "extrin", "error", 7),
     _Shown("std", "action std", "{:.3f}", "act", "std", 6),
     _Shown("chatter", "action chatter", "{:.3f}", "action", "rms", 7),
-    _Shown("kl_approx", "KL", "{:.4f}", "KL", "", 7),
+    _Shown("kl_approx", "KL", "{:.4f}", "KL", "", 8),
     _Shown("diverged", "diverged simulations", "{:.0f}", "sims", "failed", 7),
     _Shown("skipped_steps", "skipped steps", "{:.0f}", "skip", "steps", 6),
 )
 _LEFT = 10
-"""Width of the time that is left; with it, a line has 118 characters."""
+"""Width of the time that is left; with it, a line has 119 characters."""
 _PAGE = 20
 """Lines between two heads."""
 _HEAD = "\n".join(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from torchrl_atr._checks import check_flag, check_kind, check_whole
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.transforms import CommandGrid
@@ -79,7 +81,9 @@ def wrong_kind(name: str, value: Any, default: Any) -> str | None:
         elif isinstance(default, int):
             check_whole(name, value, low=None)
         elif isinstance(default, float):
-            if isinstance(value, bool) or not isinstance(value, int | float):  # whether NaN: see RANGES
+            if isinstance(value, bool) or not isinstance(
+                value, int | float | np.integer | np.floating
+            ):  # NaN: see RANGES
                 return f"{name}={value!r}: choose a number"
         elif isinstance(default, tuple):
             check_kind(name, value, tuple, "a tuple")
@@ -92,3 +96,16 @@ def wrong_kind(name: str, value: Any, default: Any) -> str | None:
     except InputError as error:
         return str(error)
     return None
+
+
+def plain(value: Any) -> Any:
+    """Return a setting's value as Python's own kind, as JSON has it: numbers of NumPy are accepted.
+
+    Example:
+        >>> import numpy as np
+        >>> plain(np.int64(4)), plain((np.int64(8),)), plain("cpu")
+        (4, (8,), 'cpu')
+    """
+    if isinstance(value, tuple):
+        return tuple(plain(part) for part in value)
+    return value.item() if isinstance(value, np.generic) else value

@@ -163,9 +163,9 @@ class Trainer:
     @torch.no_grad()
     def _acquaint(self, networks: RidingNetworks) -> None:
         """Means and scales of random actions to start from, a step at a time: a rollout would hold every history."""
-        carrier = self.env.reset()
+        carrier, spec = self.env.reset(), self.env.action_spec
         for _ in range(self.config.rollout_steps):
-            carrier["action"] = torch.randn(self.env.action_spec.shape)  # whatever the spec's bounds
+            carrier["action"] = torch.randn(spec.shape, dtype=spec.dtype)  # whatever the bounds
             step, carrier = self.env.step_and_maybe_reset(carrier)
             networks.update_normalizers(step)
 

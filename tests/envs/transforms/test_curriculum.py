@@ -336,8 +336,8 @@ def test_renamed_keys_in_an_env_that_knows_no_such_command():
     ("arguments", "words"),
     [
         ({"tracking_max": (1.0,)}, "one entry per score"),
-        ({"tracking_max": (1.0, 0.0)}, "tracking_max must be positive"),
-        ({"tracking_max": (1.0, float("nan"))}, "tracking_max must be positive"),
+        ({"tracking_max": (1.0, 0.0)}, "tracking_max="),
+        ({"tracking_max": (1.0, float("nan"))}, "tracking_max="),
         ({"tracking_max": (1.0, 1.0), "window": 5, "score_from": 5}, "score_from"),
         ({"tracking_max": (1.0, 1.0), "window": 0}, "score_from"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -56,20 +56,25 @@ def read_spec(
         values = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as failure:
         raise error(f"{path} is not valid TOML: {failure}") from failure
-    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
-    known = [field.name for field in fields]
-    for key in values:
-        if key not in known:
-            raise error(f"{path}: unknown key {key!r}; {nearest(key, known)}")
-    needed = [field.name for field in fields if field.default is dataclasses.MISSING]
-    missing = [key for key in needed if key not in values]
-    if missing:
-        raise error(f"{path}: there is no {', '.join(missing)}; a {noun} needs {', '.join(needed)}")
     try:
+        check_names(values, kind, noun, error)
         convert(values, path.resolve().parent)
         return kind(**values)
     except error as failure:
         raise error(f"{path}: {failure}") from failure
+
+
+def check_names(values: Mapping[str, Any], kind: Callable[..., Any], noun: str, error: type[UserError]) -> None:
+    """Check that ``values`` holds all that the dataclass ``kind`` needs, and nothing else; arguments as above."""
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]
+    known = [field.name for field in fields]
+    for key in values:
+        if key not in known:
+            raise error(f"unknown key {key!r}; {nearest(str(key), known)}")
+    needed = [field.name for field in fields if field.default is dataclasses.MISSING]
+    missing = [key for key in needed if key not in values]
+    if missing:
+        raise error(f"there is no {', '.join(missing)}; a {noun} needs {', '.join(needed)}")
 
 
 def is_number(value: object) -> bool:

@@ -18,6 +18,7 @@ from torchrl_atr.envs.models.spec_file import (
     LARGEST,
     SMALLEST,
     check_list,
+    check_names,
     check_positive,
     check_text,
     is_spec_file,
@@ -213,6 +214,7 @@ def get_transporter(transporter: str | Path | Mapping[str, Any] | TransporterSpe
         return transporter
     if isinstance(transporter, Mapping):
         values = dict(transporter)
+        check_names(values, TransporterSpec, "transporter", TransporterError)
         _convert(values)
         return TransporterSpec(**values)
     if is_spec_file(transporter):

@@ -12,7 +12,8 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
-from torchrl_atr._checks import check_kind, check_number, check_whole
+from torchrl_atr._checks import check_key, check_keys, check_kind, check_number, check_whole
+from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr._registry import nearest_entry
 from torchrl_atr.envs.transforms.grid import CommandGrid
@@ -85,19 +86,20 @@ class CommandCurriculum(OwnGenerator):
     ) -> None:
         for name, values in {"tracking_max": tracking_max, "thresholds": thresholds}.items():
             check_kind(name, values, (Sequence, Tensor), "a list of numbers, one per score")
-        check_kind("tracking_keys", tracking_keys, (list, tuple), "a list of keys, one per score")
+            if isinstance(values, str | bytes) or (isinstance(values, Tensor) and values.ndim != 1):
+                raise InputError(f"{name}={values!r}: give a list of numbers, one per score")
+        check_keys("tracking_keys", tracking_keys, "a list of keys, one per score")
         check_kind("grid", grid, CommandGrid, "a CommandGrid", optional=True)
-        check_kind("rest_key", rest_key, (str, tuple), "a key", optional=True)
-        check_kind("command_key", command_key, (str, tuple), "a key")
+        check_key("rest_key", rest_key, optional=True)
+        check_key("command_key", command_key)
         super().__init__(in_keys=list(tracking_keys), out_keys=[command_key])
         if not len(tracking_keys) == len(tracking_max) == len(thresholds) > 0:
             raise ValueError(
                 "tracking_keys, tracking_max and thresholds need one entry per score, got "
                 f"{len(tracking_keys)}, {len(tracking_max)} and {len(thresholds)}"
             )
-        thresholds = [check_number("thresholds", value) for value in thresholds]
-        if not all(isinstance(value, int | float) and 0 < value < float("inf") for value in tracking_max):
-            raise ValueError(f"tracking_max must be positive, finite numbers, got {tuple(tracking_max)}")
+        thresholds = [check_number("thresholds", value) for value in _listed(thresholds)]
+        tracking_max = [check_number("tracking_max", value, above=0) for value in _listed(tracking_max)]
         window, score_from = check_whole("window", window, None), check_whole("score_from", score_from, None)
         if not 0 <= score_from < window:
             raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
@@ -313,3 +315,7 @@ class CommandCurriculum(OwnGenerator):
             commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
             self.rows.command.index_copy_(0, index, commands.to(self.rows.command.dtype))
             self.rows.cells.index_copy_(0, index, cells)
+
+
+def _listed(values: Sequence[float] | Tensor) -> Sequence[Any]:
+    return values.tolist() if isinstance(values, Tensor) else values

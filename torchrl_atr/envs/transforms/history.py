@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs.transforms import Transform
 
-from torchrl_atr._checks import check_flag, check_kind, check_whole
+from torchrl_atr._checks import check_flag, check_key, check_whole
 from torchrl_atr._inference import keeps_normal_tensors
 
 _ROOM = 4
@@ -56,7 +56,7 @@ class ObservationHistory(Transform):
         length = check_whole("length", length, None)
         check_flag("include_current", include_current)
         for name, key in {"in_key": in_key, "out_key": out_key}.items():
-            check_kind(name, key, (str, tuple), "a key")
+            check_key(name, key)
         if length < 1:
             raise ValueError(f"length must be at least 1, got {length}")
         super().__init__(in_keys=[in_key], out_keys=[out_key])

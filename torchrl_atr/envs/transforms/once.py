@@ -10,7 +10,7 @@ from tensordict.utils import NestedKey
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs.transforms import Transform
 
-from torchrl_atr._checks import check_kind
+from torchrl_atr._checks import check_keys
 from torchrl_atr._registry import nearest_entry
 
 
@@ -42,7 +42,7 @@ class StoredOnce(Transform):
 
     def __init__(self, at_root: Sequence[NestedKey] = (), in_next: Sequence[NestedKey] = ()) -> None:
         for name, keys in {"at_root": at_root, "in_next": in_next}.items():
-            check_kind(name, keys, (list, tuple), f'a list of keys, such as ["{keys}"]')
+            check_keys(name, keys, f'a list of keys, such as ["{keys}"]')
         super().__init__()
         self.at_root, self.in_next = tuple(at_root), tuple(in_next)
         self._specs: dict[NestedKey, TensorSpec] = {}

@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.envs.transforms import Transform
 
-from torchrl_atr._checks import check_kind, check_number, check_pair
+from torchrl_atr._checks import check_key, check_keys, check_kind, check_number, check_pair
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 
 
@@ -44,12 +44,11 @@ class RunawayTermination(Transform):
         speeds_key: NestedKey = "speeds",
         reward_keys: Sequence[NestedKey] = ("reward", ("reward_terms", "termination")),
     ) -> None:
-        super().__init__(in_keys=[speeds_key], out_keys=[])
+        super().__init__(in_keys=[check_key("speeds_key", speeds_key)], out_keys=[])
         check_kind("curriculum", curriculum, CommandCurriculum, "the CommandCurriculum in front of it")
         self.margin = check_pair("margin", margin, "two positive numbers (m/s, rad/s)")
         self.penalty = check_number("penalty", penalty)
-        check_kind("reward_keys", reward_keys, (list, tuple), "a list of keys")
-        self.reward_keys = tuple(reward_keys)
+        self.reward_keys = tuple(check_keys("reward_keys", reward_keys))
         self._curriculum = [curriculum]  # in a list: a part of the stack, not a submodule of this transform
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:

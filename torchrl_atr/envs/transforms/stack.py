@@ -7,7 +7,7 @@ from typing import Any
 
 from torchrl.envs.transforms import CatTensors, Compose, RewardSum, StepCounter
 
-from torchrl_atr._checks import check_flag, check_whole
+from torchrl_atr._checks import check_flag, check_pair, check_whole
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.once import StoredOnce
@@ -57,6 +57,9 @@ def riding_transforms(
     """
     max_steps, stagger = check_whole("max_steps", max_steps, low=1), check_whole("stagger", stagger)
     check_flag("stored_once", stored_once)
+    check_whole("history_length", history_length, low=1)
+    if runaway_margin is not None:
+        check_pair("runaway_margin", runaway_margin, "two positive numbers (m/s, rad/s)")
     command = CommandCurriculum(tracking_max, **curriculum)
     guards = [] if runaway_margin is None else [RunawayTermination(command, runaway_margin, runaway_penalty)]
     return Compose(
