@@ -26,7 +26,7 @@ def main(iterations: int = 50, num_envs: int = 256, steps: int = 24, seed: int =
     env = make_riding_env("a1", "single_board", num_envs=num_envs, seed=seed, stored_once=True)
     networks = make_networks(env.observation_spec, env.action_spec, estimator="cnn_gru")
     # means and scales of a random ride to start from, with actions as large as an untrained policy's
-    noise = env.rollout(steps, lambda state: state.set("action", torch.randn(env.action_spec.shape)))
+    noise = env.rollout(steps, lambda tensordict: tensordict.set("action", torch.randn(env.action_spec.shape)))
     networks.update_normalizers(noise)
 
     # "privileged": the actor reads the encoder's latent and the true extrinsic state, as in the paper's training phase
