@@ -108,10 +108,11 @@ def test_a_run_is_not_overwritten_and_a_resumed_one_keeps_its_settings(tmp_path,
 
 def test_an_estimator_of_ones_own_trains_from_the_command_line(tmp_path, monkeypatch):
     (tmp_path / "my_estimators.py").write_text(
-        "from torchrl_atr.modules import MLPEstimator, register_estimator\nregister_estimator('mine', MLPEstimator)\n"
+        "from torchrl_atr.modules import MLPEstimator, register_estimator\n"
+        "register_estimator('from_a_module', MLPEstimator)\n"
     )
     monkeypatch.chdir(tmp_path)
-    arguments = ["train", *TINY, "--total-frames", "8", "--import", "my_estimators", "--estimator", "mine"]
+    arguments = ["train", *TINY, "--total-frames", "8", "--import", "my_estimators", "--estimator", "from_a_module"]
     assert main([*arguments, "--output", "run"]) == 0
     assert json.loads((tmp_path / "run" / "config.json").read_text())["imports"] == ["my_estimators"]
 

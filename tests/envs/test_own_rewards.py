@@ -47,7 +47,8 @@ def test_the_curriculum_names_a_term_that_it_lacks():
 
 
 def test_the_suite_takes_them():
-    suite = pytest.importorskip("torchrl_atr.envs.suite")
+    from torchrl_atr.envs import suite
+
     ours, plain = (suite.load(random=0, pushes=False, **rewards) for rewards in ({"rewards": OWN}, {}))
     rewards = []
     for environment in (ours, plain):

@@ -9,7 +9,6 @@ from tensordict import TensorDict
 
 from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
 from torchrl_atr.envs.physics.batch import BatchEngine
-from torchrl_atr.envs.physics.dmc import DmControlEngine, RidingPhysics
 from torchrl_atr.envs.physics.engine import DECIMATION
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.riding import RidingEnv
@@ -246,6 +245,8 @@ def test_recentring_changes_nothing_but_the_origin():
 
 
 def test_dm_control_engine_keeps_the_scene_as_it_is():
+    from torchrl_atr.envs.physics.dmc import DmControlEngine
+
     scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
     nominal = {name: getattr(scene.model, name).copy() for name in ("body_mass", "jnt_stiffness", "geom_friction")}
     first, second = DmControlEngine(scene, Readings()), DmControlEngine(scene, Readings())
@@ -257,6 +258,8 @@ def test_dm_control_engine_keeps_the_scene_as_it_is():
 
 
 def test_dm_control_physics_obeys_the_law_by_itself():
+    from torchrl_atr.envs.physics.dmc import DmControlEngine
+
     scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
     ours, theirs = (DmControlEngine(scene, Readings()) for _ in range(2))
     for engine in (ours, theirs):
@@ -269,6 +272,8 @@ def test_dm_control_physics_obeys_the_law_by_itself():
 
 
 def test_physics_without_an_engine_refuses_to_step():
+    from torchrl_atr.envs.physics.dmc import DmControlEngine, RidingPhysics
+
     scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
     copied = DmControlEngine(scene, Readings()).physics.copy()
     assert isinstance(copied, RidingPhysics)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from torchrl_atr.envs import RidingEnv, suite
+from torchrl_atr.envs import RidingEnv
 from torchrl_atr.envs.task.state import _wrapped
 
 
@@ -46,6 +46,8 @@ def test_whole_turns_do_not_show(physics, num_envs, heading):
 
 
 def test_whole_turns_do_not_show_in_the_suite():
+    from torchrl_atr.envs import suite
+
     seen = []
     for turns in (0, 100_000):
         environment = suite.load(random=0, pushes=False)
