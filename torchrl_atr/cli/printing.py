@@ -1,4 +1,4 @@
-"""What commands write while they work and when they are done."""
+"""Output of commands while they work and when they are done."""
 
 from __future__ import annotations
 

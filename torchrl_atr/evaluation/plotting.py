@@ -1,4 +1,4 @@
-"""What the figures share: style, heat maps over commands, ticks, files. Importing this module imports matplotlib."""
+"""Shared parts of the figures: style, heat maps, ticks, files. Importing this module imports matplotlib."""
 
 from __future__ import annotations
 

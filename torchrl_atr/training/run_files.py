@@ -1,4 +1,4 @@
-"""What a run folder holds of the files that its settings name, so that it can be moved and outlives them."""
+"""Copies of the files that a run's settings name, so that its folder can be moved and outlives them."""
 
 from __future__ import annotations
 

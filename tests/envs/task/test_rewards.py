@@ -229,7 +229,7 @@ def test_a_term_that_cannot_be_used_is_named(make_context, scene, terms, message
         reward_function(scene, make_context(), terms)
 
 
-@pytest.mark.parametrize("weight", ["1", None, True, float("nan"), float("inf")])
+@pytest.mark.parametrize("weight", ["1", None, True, float("nan"), float("inf"), 10**400])
 def test_a_weight_is_a_finite_number(weight):
     with pytest.raises(RewardError, match="is no finite number"):
         RewardTerm(lambda c: c.action, weight)

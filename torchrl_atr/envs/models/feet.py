@@ -1,4 +1,4 @@
-"""Which geoms are a robot's feet: those that its spec names, and those beside them."""
+"""Find the geoms of a robot's feet: those that its spec names, and those beside them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a scene is made of, as plain values: two can be compared, and what differs is named."""
+"""Describe scenes as plain values, compare two, and name what differs."""
 
 from __future__ import annotations
 

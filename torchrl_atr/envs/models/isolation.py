@@ -1,4 +1,4 @@
-"""What of a robot's MJCF file is the robot; its other elements and settings, which would reach the scene, go."""
+"""Isolate the robot in its MJCF file: other elements and settings, which would reach the scene, go."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a robot's left half is the mirror image of its right one: what ``symmetric=true`` takes for granted."""
+"""Compare a robot's left half with the mirror image of its right one, which ``symmetric=true`` takes for granted."""
 
 from __future__ import annotations
 

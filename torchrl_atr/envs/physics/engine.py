@@ -263,7 +263,7 @@ class Engine(ABC):
     @property
     @abstractmethod
     def _arguments(self) -> tuple[Any, ...]:
-        """What the constructor was called with."""
+        """Arguments that the constructor was called with."""
 
     @abstractmethod
     def _set_time(self, time: Array) -> None:

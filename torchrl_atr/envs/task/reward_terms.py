@@ -1,15 +1,15 @@
-"""What a reward is made of: terms as data, and their sum."""
+"""Reward terms as data, and their sum."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
+from torchrl_atr._checks import check_number
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
@@ -24,7 +24,7 @@ TRACKING = ("forward_command", "steering_command")
 
 @dataclass
 class RewardContext:
-    """What a term may look at.
+    """The inputs of a reward term.
 
     Attributes:
         state: N robots after the step.
@@ -77,9 +77,10 @@ class RewardTerm:
     def __post_init__(self) -> None:
         if not callable(self.function):
             raise RewardError(f"function={self.function!r} of a reward term cannot be called; give a function")
-        number = isinstance(self.weight, int | float) and not isinstance(self.weight, bool)
-        if not number or not math.isfinite(self.weight):
-            raise RewardError(f"weight={self.weight!r} of a reward term is no finite number")
+        try:
+            check_number("weight", self.weight)
+        except InputError:
+            raise RewardError(f"weight={self.weight!r} of a reward term is no finite number") from None
 
     def __call__(self, context: RewardContext) -> Tensor:
         """Return the weighted term, (N,)."""
@@ -141,12 +142,12 @@ class RewardFunction:
 
     @property
     def tracking_max(self) -> dict[str, float]:
-        """What the tracking terms come to at no error, scaled; 0 for one that was left out."""
+        """Scaled values of the tracking terms at no error; 0 for one that was left out."""
         return {name: self._scaled_weight(name) for name in TRACKING}
 
     @property
     def termination_cost(self) -> float:
-        """What an early termination adds to the reward, scaled (r17)."""
+        """Scaled reward of an early termination (r17)."""
         return self._scaled_weight(TERMINATION)
 
     def _scaled_weight(self, name: str) -> float:
