@@ -15,8 +15,8 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from benchmarks.timing import Contender, Key
-from torchrl_atr.envs import Readings, RidingEnv, get_robot, get_transporter, make_riding_env
-from torchrl_atr.envs.models import Scene, build_scene
+from torchrl_atr.envs import RidingEnv, get_robot, get_transporter, make_riding_env
+from torchrl_atr.envs.models import Scene, Transporter, build_scene
 from torchrl_atr.envs.models.scene import STAND
 from torchrl_atr.envs.physics.engine import DECIMATION
 from torchrl_atr.training import TrainConfig, make_env, make_policy, make_run_networks
@@ -43,7 +43,7 @@ def standing_step(scene: Scene, num_envs: int, threads: int) -> Callable[[], muj
 def physics(num_envs: int, threads: int) -> Contender:
     """The limit: ``mujoco.batch`` on our scene, robots standing."""
     robot = get_robot("a1")
-    scene = build_scene(robot, get_transporter("single_board", robot), Readings())
+    scene = build_scene(robot, Transporter(get_transporter("single_board", robot)))
     stand = standing_step(scene, num_envs, threads)
 
     def step() -> int:

@@ -25,7 +25,7 @@ from benchmarks.results import exit_code, refuse_other_settings
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr.envs import ROBOTS
 from torchrl_atr.envs.models import DESIGNS
-from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import command_owner
 from torchrl_atr.evaluation.tracking import MakeEnv
 from torchrl_atr.training import (

@@ -20,8 +20,7 @@ from benchmarks import results
 from torchrl_atr._files import say
 from torchrl_atr.envs import ROBOTS, RidingEnv, get_readings
 from torchrl_atr.envs.models import DESIGNS
-from torchrl_atr.envs.task.randomization import intrinsic_slices
-from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.training.provenance import machine
 
 
@@ -54,7 +53,7 @@ def survival(
     if centred:
         state = env.get_state()
         x_int = state["x_int"].clone()
-        x_int[:, intrinsic_slices(env.task.joints)["com_shift"]] = 0.0  # the middle of a range about zero
+        x_int[:, env.runner.intrinsics.slices["com_shift"]] = 0.0  # the middle of a range about zero
         env.set_state(state.set("x_int", x_int))
     stand = TensorDict({"action": torch.zeros(env.action_spec.shape)}, [robots])
     up = torch.ones(robots, dtype=torch.bool)

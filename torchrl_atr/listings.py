@@ -91,7 +91,7 @@ def _made_by(factory: Any, net: Any) -> Any:
 
 def rewards() -> Iterator[str]:
     """Reward terms in Table III's order."""
-    from torchrl_atr.envs.task.rewards import RIDING_REWARDS
+    from torchrl_atr.envs.tasks import RIDING_REWARDS
 
     rows = [["term", "weight", "meaning"]]
     for name, term in RIDING_REWARDS.items():

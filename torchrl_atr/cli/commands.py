@@ -115,7 +115,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
         metrics = tracking_metrics(result)
         metrics["evaluation"] = {
             "robot": env.base_env.scene.robot.name,
-            "transporter": env.base_env.scene.transporter.name,
+            "transporter": env.base_env.scene.support.name,
             "seed": arguments.seed,
             "randomization": arguments.randomization,
             "checkpoint": arguments.checkpoint,
@@ -196,12 +196,12 @@ def replay(arguments: argparse.Namespace) -> None:
 
 def write_model(arguments: argparse.Namespace) -> None:
     """``torchrl-atr model``."""
-    from torchrl_atr.envs import Readings, get_robot, get_transporter
-    from torchrl_atr.envs.models import scene_xml
+    from torchrl_atr.envs import get_robot, get_transporter
+    from torchrl_atr.envs.models import Transporter, scene_xml
 
     import_modules(arguments.imports or ())
     robot = get_robot(arguments.robot)
-    xml = scene_xml(robot, get_transporter(arguments.transporter, robot), Readings())
+    xml = scene_xml(robot, Transporter(get_transporter(arguments.transporter, robot)))
     with atomic(arguments.output) as file:
         file.write_text(xml, encoding="utf-8")
     say(f"wrote {arguments.output}; keyframe 'stand' is the robot standing on its transporter")

@@ -1,6 +1,7 @@
-"""The riding task: robots on transporters as TorchRL envs, their transforms, and a dm_control suite."""
+"""Tasks of quadrupeds as TorchRL envs, their transforms, and a dm_control suite."""
 
-from torchrl_atr.envs.factory import make_riding_env
+from torchrl_atr.envs.env import QuadrupedEnv
+from torchrl_atr.envs.factory import make_env, make_riding_env
 from torchrl_atr.envs.models import (
     ROBOTS,
     SINGLE_BOARD,
@@ -18,8 +19,7 @@ from torchrl_atr.envs.models import (
 )
 from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.task.reward_terms import RewardError, RewardTerm
-from torchrl_atr.envs.task.rewards import RIDING_REWARDS
+from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardError, RewardTerm, Task, make_task, riding
 
 __all__ = [
     "PROFILES",
@@ -28,19 +28,24 @@ __all__ = [
     "SINGLE_BOARD",
     "TRANSPORTERS",
     "TWO_BOARD",
+    "QuadrupedEnv",
     "Readings",
     "RewardError",
     "RewardTerm",
     "RidingEnv",
     "RobotError",
     "RobotSpec",
+    "Task",
     "TransporterError",
     "TransporterSpec",
     "get_readings",
     "get_robot",
     "get_transporter",
+    "make_env",
     "make_riding_env",
+    "make_task",
     "read_robot",
     "read_transporter",
     "register_robot",
+    "riding",
 ]

@@ -8,7 +8,6 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,9 +15,10 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.identity import describe
+from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.models.spec_file import is_spec_file
-from torchrl_atr.envs.models.transporter import describe_transporter
-from torchrl_atr.envs.task.core import RidingTask
+from torchrl_atr.envs.tasks.runner import EpisodeRunner
+from torchrl_atr.envs.tasks.task import Task
 
 LENGTH = 25
 """Control steps that are kept: half a second, some 60 kB for a robot."""
@@ -29,7 +29,7 @@ class FlightRecorder:
     """Keeps what the last control steps began from, and what was done in them.
 
     Args:
-        task: whose robots are recorded.
+        runner: whose robots are recorded.
         scene: robot, transporter and so on by name, to build the scene again; plain values.
         folder: where dumps go; made when there is one.
         length: control steps that are kept.
@@ -38,27 +38,27 @@ class FlightRecorder:
         See :func:`torchrl_atr.evaluation.replay`.
     """
 
-    def __init__(self, task: RidingTask, scene: dict[str, Any], folder: Path, length: int = LENGTH) -> None:
-        self.task, self.folder, self.length = task, folder, length
-        self.scene = {**scene, **{name: _portable(scene[name], folder) for name in COPIES}}
-        self._rings = {name: np.zeros((length, *a.shape)) for name, a in task.engine.live_state.items()}
-        self._actions = torch.zeros(length, *task.previous_action.shape, dtype=torch.float32)
+    def __init__(self, runner: EpisodeRunner, scene: dict[str, Any], folder: Path, length: int = LENGTH) -> None:
+        self.runner, self.folder, self.length = runner, folder, length
+        self.scene = {**scene, **{name: _portable(scene[name], folder) for name in COPIES if name in scene}}
+        self._rings = {name: value.new_zeros(length, *value.shape) for name, value in runner.engine.live_state.items()}
+        self._actions = torch.zeros(length, *runner.previous_action.shape, dtype=torch.float32)
         self._noted = 0
 
     def note(self, action: Tensor) -> None:
-        """Records a control step between the task's ``act`` and the engine's ``advance``.
+        """Record a control step between the runner's ``apply_action`` and the engine's ``advance``.
 
         Args:
             action: (N, 12).
         """
         slot = self._noted % self.length
-        for name, array in self.task.engine.live_state.items():
-            self._rings[name][slot] = array
+        for name, value in self.runner.engine.live_state.items():
+            self._rings[name][slot] = value
         self._actions[slot] = action
         self._noted += 1
 
     def dump(self, row: int, reason: str) -> str:
-        """Writes what is recorded of a robot's present episode.
+        """Write what is recorded of a robot's present episode.
 
         Args:
             row: which robot.
@@ -67,16 +67,16 @@ class FlightRecorder:
         Returns:
             How to look at it, or why it could not be written: a full disk must not end what a failure did not.
         """
-        kept = min(self._noted, self.length, int(self.task.steps[row]))
+        kept = min(self._noted, self.length, int(self.runner.steps[row]))
         slots = [(self._noted - kept + i) % self.length for i in range(kept)]
         path = self.folder / f"diverged-{uuid.uuid4().hex[:8]}-env{row}.pt"
         content = {
             "scene": self.scene,
             "env_id": row,
-            "step": int(self.task.steps[row]),
+            "step": int(self.runner.steps[row]),
             "reason": reason,
-            "x_int": self.task.x_int[row].clone(),
-            "states": {name: torch.from_numpy(ring[slots, row]) for name, ring in self._rings.items()},
+            "x_int": self.runner.x_int[row].clone(),
+            "states": {name: ring[slots, row] for name, ring in self._rings.items()},
             "actions": self._actions[slots, row].clone(),
         }
         try:
@@ -87,17 +87,11 @@ class FlightRecorder:
         return f"; see it with: torchrl-atr replay {path}"
 
 
-def describe_scene(task: RidingTask, robot: Any) -> dict[str, Any]:
-    """Return what :class:`FlightRecorder` needs to build the scene again, as plain values.
-
-    Args:
-        task: its transporter and readings.
-        robot: as the env was given it; a spec of one's own is named, and must be registered to be replayed.
-    """
-    scene = task.scene
+def describe_scene(task: Task, scene: Scene) -> dict[str, Any]:
+    """Return what :func:`~torchrl_atr.envs.tasks.make_task` needs to build the scene again, as plain values."""
     return {
-        "robot": str(robot) if isinstance(robot, str | Path) else scene.robot.name,
-        "transporter": describe_transporter(scene.transporter),
+        "task": task.name,
+        **task.arguments,
         "readings": dataclasses.asdict(task.readings),
         "model": describe(scene),
     }
@@ -112,7 +106,7 @@ def _portable(name: str, folder: Path) -> str:
 
 
 def load_dump(path: Path) -> dict[str, Any]:
-    """Reads a dump.
+    """Read a dump.
 
     Returns:
         Its parts; robot and transporter files in ``scene`` are absolute paths, wherever the dump is now.
@@ -132,7 +126,7 @@ def load_dump(path: Path) -> dict[str, Any]:
         ):
             raise ValueError("parts are missing")
         scene = dump["scene"]
-        for name in COPIES:
+        for name in COPIES & scene.keys():
             scene[name] = str(path.resolve().parent / scene[name]) if is_spec_file(scene[name]) else scene[name]
     except Exception as error:  # whatever unpickling a file of another kind comes to
         raise InputError(f"{path} is not a dump of a diverged simulation; give a file of a run's diverged/") from error

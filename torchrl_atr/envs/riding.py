@@ -1,91 +1,28 @@
-"""``RidingEnv``: N robots riding N transporters as one natively batched TorchRL env."""
+"""``RidingEnv``: the riding task as an env."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
 
-import mujoco
-import torch
-from tensordict import NestedKey, TensorDict, TensorDictBase
-from torch import Tensor
-from torchrl.data import Binary, Bounded, Composite, Unbounded
-from torchrl.envs import EnvBase
-
-from torchrl_atr._checks import check_kind, check_whole
-from torchrl_atr._errors import InputError
-from torchrl_atr._inference import keeps_normal_tensors
-from torchrl_atr.envs.models import RobotSpec, Scene, TransporterSpec, build_scene, get_robot, get_transporter
-from torchrl_atr.envs.physics.engine import DECIMATION, Engine
-from torchrl_atr.envs.profiles import Readings, get_readings
-from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
-from torchrl_atr.envs.task import randomization as intrinsics
-from torchrl_atr.envs.task.core import ACTION_LIMIT, COMMAND_FEATURES, Outcome, RidingTask
-from torchrl_atr.envs.task.guard import as_float32, not_finite
-from torchrl_atr.envs.task.reward_terms import RewardTerm
-from torchrl_atr.envs.task.rewards import RIDING_REWARDS
-from torchrl_atr.envs.task.symmetry import reflections
-
-_LOGGED = 20
-"""Failures that are logged and dumped: the first tell the most, and a disk is finite."""
-_LOG = logging.getLogger(__name__)
-PhysicsEngine = Literal["batch", "dm_control"]
+from torchrl_atr.envs.env import PhysicsEngine, QuadrupedEnv
+from torchrl_atr.envs.models import RobotSpec, TransporterSpec
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardTerm, riding
+from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 
 
-class RidingEnv(EnvBase):
-    """Quadrupeds riding tilt-driven transporters.
-
-    Each robot has its own intrinsic parameters (Table II), drawn anew at every reset. The env scores with the
-    command it is given and echoes it; :class:`~torchrl_atr.envs.transforms.CommandCurriculum` usually draws
-    it. Without a command it is zero. Partial resets (``_reset`` mask) touch only the rows they name.
+class RidingEnv(QuadrupedEnv):
+    """Quadrupeds riding tilt-driven transporters: ``QuadrupedEnv(riding(robot, transporter, ...), ...)``.
 
     Args:
-        robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
-        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, path of a
-            ``.toml`` file that describes one, or a spec.
-        num_envs: N.
-        physics: ``"batch"`` (N robots, all CPUs) or ``"dm_control"`` (one robot, the reference).
-        randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
-        profile: name of a profile, or :class:`~torchrl_atr.envs.profiles.Readings`.
-        num_threads: physics threads; None for the CPUs this process may use.
-        pushes: whether robot and platform are pushed every 3 s.
-        moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
-        retry: share of the falls after which the same robot, with the intrinsics it fell with, tries again (for
-            training).
-        seed: of intrinsics, initial states and pushes.
-        dump_dir: where the last half second of a simulation that failed is written, for ``torchrl-atr replay``; None
-            for nowhere.
-        compiled: whether ``torch.compile`` makes one function of observations, rewards and terminations. Then making
-            the env and its first step take half a minute (seconds, where torch has the result on disk) and the other
-            steps less; needs a C++ compiler and Python's headers.
-        rewards: the terms of the reward by name, such as ``{**RIDING_REWARDS, "mine": RewardTerm(function, -0.1)}``.
-
-    A simulation that diverges, or an observation or reward that is not finite, ends that robot's episode as terminated,
-    with zeros where there was no number, and is counted and logged; the others do not notice.
+        robot, transporter, profile, pushes, moving_start, rewards: see :func:`~torchrl_atr.envs.tasks.riding`.
+        num_envs, physics, randomization, num_threads, failed_episode_replay, seed, dump_dir, compiled: see
+            :class:`~torchrl_atr.envs.QuadrupedEnv`.
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
-        RobotError: for a robot that cannot ride as it is described.
-        ValueError: for an impossible ``num_envs``, ``physics``, ``randomization``, ``moving_start``, ``retry`` or
-            ``seed``, for ``compiled`` without a compiler, and for an action or a command that is misshapen or not
-            finite.
-        KeyError: if a step lacks the action.
-
-    Actions are joint displacements in units of the robot's action scale: PD targets q0 + scale · action. Their spec is
-    bounded, ±:data:`~torchrl_atr.envs.task.core.ACTION_LIMIT`, for ``rand_action`` and squashed policies such as
-    ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. It is no clip: larger ones, as a Gaussian policy's may be,
-    are carried out as long as they are finite in float32, up to the joints' control ranges.
-
-    An env can be pickled and copied (``copy.deepcopy``), and goes on from there bit for bit. ``set_seed`` fixes
-    intrinsics, initial states and pushes, and the commands of a curriculum in front of it.
-
-    Keys: ``action`` (N, 12) and ``command`` (N, 2) in; ``proprio`` (N, 44), ``command``, ``observation``
-    (N, 46), ``odometry`` (N, 3), ``("privileged", "intrinsic")`` (N, 34), ``("privileged", "extrinsic")`` (N, 16),
-    ``("privileged", "outlook")`` (N, 14), ``speeds`` (N, 2), the forward speed and yaw rate that answer the command,
-    ``("reward_terms", name)`` and ``reward`` (N, 1), ``done``, ``terminated``, ``truncated`` (N, 1) out; float32, SI
-    units.
+        RobotError, ValueError, KeyError: see :class:`~torchrl_atr.envs.QuadrupedEnv`.
 
     Example:
         >>> env = RidingEnv(num_envs=4, seed=0)
@@ -93,241 +30,24 @@ class RidingEnv(EnvBase):
         torch.Size([4, 3, 46])
     """
 
-    batch_locked = True
-    _has_frame_skip = True  # no attribute of ours may be taken for a frame skip
-
-    @keeps_normal_tensors
     def __init__(
         self,
         robot: str | Path | RobotSpec = "a1",
         transporter: str | Path | TransporterSpec = "single_board",
         num_envs: int = 256,
         physics: PhysicsEngine = "batch",
-        randomization: intrinsics.Randomization = "train",
+        randomization: Randomization = "train",
         profile: str | Readings = "default",
         num_threads: int | None = None,
         pushes: bool = True,
         moving_start: float = 0.0,
-        retry: float = 0.0,
+        failed_episode_replay: float = 0.0,
         seed: int | None = None,
         dump_dir: str | Path | None = None,
         compiled: bool = False,
         rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     ) -> None:
-        num_envs = check_whole("num_envs", num_envs, low=1)
-        seed = check_whole("seed", seed, high=2**63 - 1, optional=True)
-        check_kind("dump_dir", dump_dir, (str, Path), "the path of a folder", optional=True)
-        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
-        readings = get_readings(profile)
-        rider = get_robot(robot)
-        scene = build_scene(rider, get_transporter(transporter, rider), readings)
-        self.rng = torch.Generator()
-        if seed is None:
-            self.rng.seed()  # from the operating system: forked workers must not share intrinsics
-        else:
-            self.rng.manual_seed(seed)
-        self.seeding: tuple[int, int] | None = None  # how often set_seed was called, and its last seed: transforms look
-        engine = _make_engine(physics, scene, readings, num_envs, num_threads)
-        self.task = RidingTask(
-            engine, readings, randomization, pushes, self.rng, moving_start, retry, compiled, rewards
+        task = riding(robot, transporter, profile=profile, pushes=pushes, moving_start=moving_start, rewards=rewards)
+        super().__init__(
+            task, num_envs, physics, randomization, num_threads, failed_episode_replay, seed, dump_dir, compiled
         )
-        self._recorder = None
-        if dump_dir is not None:
-            self._recorder = FlightRecorder(self.task, describe_scene(self.task, robot), Path(dump_dir))
-        self._emitted = self.task.observe(self._command(None))
-        self._make_specs()
-
-    @property
-    def engine(self) -> Engine:
-        """The physics: simulation state, the drive law's speeds, the odometer."""
-        return self.task.engine
-
-    @property
-    def scene(self) -> Scene:
-        """Robot, transporter and their compiled nominal model."""
-        return self.task.scene
-
-    @property
-    def readings(self) -> Readings:
-        """The paper's open points as this env reads them."""
-        return self.task.readings
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The compiled nominal scene; keyframe 0, ``stand``, is the robot standing in q0."""
-        return self.scene.model
-
-    @property
-    def num_diverged(self) -> int:
-        """Robots whose simulation, observations or rewards have failed so far; each ended its own episode."""
-        return self.task.num_diverged
-
-    @property
-    def reflections(self) -> dict[NestedKey, Tensor]:
-        """By key the matrix R, (D, D), that makes an entry's mirror image R x; the action's too."""
-        return reflections(self.scene, self.readings)
-
-    def to(self, device: torch.device | str | int) -> RidingEnv:
-        """The env itself, on the CPU.
-
-        Raises:
-            InputError: for another device.
-        """
-        if torch.device(device).type != "cpu":
-            raise InputError(
-                f"RidingEnv simulates on the CPU, not on {device}; give the collector env_device='cpu' and "
-                f"policy_device={str(device)!r}"
-            )
-        return super().to(device)
-
-    def _make_specs(self) -> None:
-        n = self.batch_size[0]
-
-        def flag() -> Binary:
-            return Binary(n=1, shape=(n, 1), dtype=torch.bool)
-
-        def values(size: int) -> Unbounded:
-            return Unbounded((n, size), dtype=torch.float32)
-
-        observation = Composite(shape=(n,))
-        for key, value in self._emitted.items():
-            observation[key] = values(value.shape[-1])
-        for name in self.task.rewards.terms:
-            observation["reward_terms", name] = values(1)
-        self.observation_spec = observation
-        self.state_spec = Composite(command=values(len(COMMAND_FEATURES)), shape=(n,))
-        shape = (n, self.task.joints)
-        self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, shape, dtype=torch.float32)
-        self.reward_spec = values(1)
-        self.full_done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=(n,))
-
-    @keeps_normal_tensors
-    def _set_seed(self, seed: int | None) -> None:
-        if seed is None:
-            return
-        self.rng.manual_seed(check_whole("seed", seed, high=2**63 - 1))
-        self.seeding = (1 if self.seeding is None else self.seeding[0] + 1), int(seed)
-        self.task.fell = torch.zeros_like(self.task.fell)  # who fell before the seed does not try again
-
-    @keeps_normal_tensors
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
-        n = self.batch_size[0]
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        chosen = torch.ones(n, dtype=torch.bool) if mask is None else mask.reshape(n)
-        index = chosen.nonzero().squeeze(-1)
-        if len(index):
-            fresh = self.task.begin(index.numpy(), self._command(tensordict)[index])
-            for key, value in fresh.items():
-                self._emitted[key] = self._emitted[key].index_copy(0, index, value)
-        return self._pack(terminated=torch.zeros(n, dtype=torch.bool))
-
-    @keeps_normal_tensors
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        command = self._command(tensordict)
-        action = tensordict.get("action", None)
-        if action is None:
-            raise KeyError("there is no 'action'; run a policy that writes it, or set it, before env.step")
-        self.task.act(action)
-        if self._recorder is not None:
-            self._recorder.note(action)
-        self.engine.advance(DECIMATION)
-        outcome = self.task.judge(command)
-        self._emitted = outcome.observed
-        self._contain(outcome)
-        return self._pack(outcome.terminated, outcome.terms, reward=outcome.reward)
-
-    def _contain(self, outcome: Outcome) -> None:
-        """Ends the episodes of robots that failed; where what they observe is no number, it is zero."""
-        failed = dict.fromkeys(self.engine.diverged.nonzero()[0].tolist(), "its simulation diverged")
-        if not outcome.finite:
-            terms = {("reward_terms", name): term for name, term in outcome.terms.items()}
-            unnumbered = not_finite({**self._emitted, **terms, "reward": outcome.reward})
-            failed |= {row: f"{name!r} is not finite" for row, name in unnumbered.items()}
-        if not failed:
-            return
-        rows = list(failed)
-        for key, value in self._emitted.items():
-            self._emitted[key] = value.clone()  # some are views of the task's own
-            self._emitted[key][rows] = value[rows].nan_to_num(0.0, 0.0, 0.0)
-        self.task.end(rows, outcome)
-        for row, reason in failed.items():
-            self.task.num_diverged += 1
-            if self.task.num_diverged <= _LOGGED:
-                hint = "" if self._recorder is None else self._recorder.dump(row, reason)
-                _LOG.warning("env id %d: %s, its episode ends%s", row, reason, hint)
-
-    def _command(self, tensordict: TensorDictBase | None) -> Tensor:
-        shape = (*self.batch_size, len(COMMAND_FEATURES))
-        command = None if tensordict is None else tensordict.get("command", None)
-        if command is None:
-            return torch.zeros(shape, dtype=torch.float32)
-        return as_float32("command", command, shape, "(c_v, c_omega)", "give m/s and rad/s")
-
-    def _pack(self, terminated: Tensor, terms: dict[str, Tensor] | None = None, **more: Tensor) -> TensorDict:
-        """What was observed last, with reward terms (None for zero), flags and ``more``."""
-        terminated, names = terminated.unsqueeze(-1), self.task.rewards.terms
-        terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape, dtype=torch.float32).unbind()))
-        flags = {
-            "terminated": terminated,
-            "truncated": torch.zeros_like(terminated),
-            "done": terminated.clone(),
-        }
-        entries = {**_nested(self._emitted), "reward_terms": terms, **flags, **more}
-        # not looked through entry by entry, a tenth of a millisecond a step: shapes and device are the env's own
-        return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
-
-    def get_state(self) -> TensorDict:
-        """Everything :meth:`set_state` needs to continue from here bit for bit, on either engine.
-
-        Pushes and new episodes draw from ``rng``, whose state is not part of it: ``rng.get_state()``.
-        """
-        state = {**self.task.get_state(), "emitted": _nested(self._emitted)}
-        return TensorDict(state, batch_size=self.batch_size).clone()
-
-    @keeps_normal_tensors
-    def set_state(self, state: TensorDictBase) -> None:
-        """Restores a state of :meth:`get_state`: intrinsic parameters, simulation state and bookkeeping.
-
-        Without ``emitted``, the last observations, a state of one's own making is observed anew: under the ``command``
-        (N, 2) that it may hold, with accelerations of zero.
-
-        Raises:
-            KeyError: if an entry is missing.
-            ValueError: if the number of robots or an entry's shape does not fit this env, or a number is not finite.
-        """
-        if state.batch_size != self.batch_size:
-            raise InputError(f"the state is of {tuple(state.batch_size)} robots; this env has {tuple(self.batch_size)}")
-        if bad := not_finite({key: value for key, value in state.items(True, True) if value.ndim == 2}):
-            row, name = next(iter(bad.items()))
-            raise InputError(f"state entry {name!r} is not finite for env id {row}; give a state of get_state()")
-        self.task.set_state(dict(state.exclude("emitted").items()))
-        emitted = state.get("emitted", None)
-        if emitted is None:
-            self._emitted = self.task.observe(self._command(state))
-        else:
-            self._emitted = {key: emitted[key].to(value.dtype, copy=True) for key, value in self._emitted.items()}
-
-
-def _nested(values: dict[Any, Tensor]) -> dict[str, Any]:
-    """Nested keys as nested dictionaries."""
-    nested: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(key, tuple):
-            nested.setdefault(key[0], {})[key[1]] = value
-        else:
-            nested[key] = value
-    return nested
-
-
-def _make_engine(physics: str, scene: Scene, readings: Readings, num_envs: int, num_threads: int | None) -> Engine:
-    if physics == "batch":
-        from torchrl_atr.envs.physics.batch import BatchEngine
-
-        return BatchEngine(scene, num_envs, readings, num_threads)
-    if physics == "dm_control":
-        if num_envs != 1:
-            raise InputError(f"physics='dm_control' simulates one robot; num_envs={num_envs} needs physics='batch'")
-        from torchrl_atr.envs.physics.dmc import DmControlEngine  # slow to import: never on the training path
-
-        return DmControlEngine(scene, readings)
-    raise InputError(f"unknown physics {physics!r}; choose 'batch' or 'dm_control'")

@@ -1,9 +1,7 @@
-"""The riding task in dm_control's own terms: ``load`` gives an ordinary ``control.Environment``."""
+"""Tasks in dm_control's own terms: ``load`` gives riding as an ordinary ``control.Environment``, ``load_task`` any."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,42 +9,37 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from torchrl_atr._checks import check_number
-from torchrl_atr.envs.models import RobotSpec, TransporterSpec, build_scene, get_robot, get_transporter
-from torchrl_atr.envs.physics.dmc import DmControlEngine, RidingPhysics
+from torchrl_atr.envs.models import build_scene
+from torchrl_atr.envs.physics.dmc import DmControlEngine, EnginePhysics
 from torchrl_atr.envs.physics.engine import DECIMATION
-from torchrl_atr.envs.profiles import Readings, get_readings
-from torchrl_atr.envs.task.core import ACTION_LIMIT, COMMAND_FEATURES, Outcome, RidingTask
-from torchrl_atr.envs.task.randomization import Randomization
-from torchrl_atr.envs.task.reward_terms import RewardTerm
-from torchrl_atr.envs.task.rewards import RIDING_REWARDS
+from torchrl_atr.envs.tasks import Task, riding
+from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
+from torchrl_atr.envs.tasks.runner import ACTION_LIMIT, EpisodeRunner
+from torchrl_atr.envs.tasks.terms import StepOutcome
 
 from dm_control.rl import control  # isort: skip  # after dmc, which says what to install
 from dm_env import specs  # isort: skip
 
 
 def load(
-    robot: str | Path | RobotSpec = "a1",
-    transporter: str | Path | TransporterSpec = "single_board",
+    robot: Any = "a1",
+    transporter: Any = "single_board",
     *,
-    profile: str | Readings = "default",
     randomization: Randomization = "train",
     time_limit: float = 20.0,
-    pushes: bool = True,
-    rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     random: int | np.random.RandomState | None = None,
+    **task: Any,
 ) -> control.Environment:
-    """One robot riding one transporter, through dm_control's API.
+    """Return one robot riding one transporter, through dm_control's API.
 
     Args:
-        robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
-        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, path of a
-            ``.toml`` file that describes one, or a spec.
-        profile: name of a profile, or readings of your own.
+        robot: see :func:`~torchrl_atr.envs.tasks.riding`.
+        transporter: likewise.
         randomization: ``"train"`` or ``"test"`` range of Table II, or ``"off"``.
         time_limit: s, after which the episode ends with discount 1.
-        pushes: whether robot and platform are pushed every 3 s.
-        rewards: the terms of the reward by name.
         random: a seed or a random state, as elsewhere in dm_control.
+        **task: further arguments of :func:`~torchrl_atr.envs.tasks.riding`, such as ``profile``, ``pushes`` or
+            ``rewards``.
 
     Returns:
         The environment; set ``environment.task.command`` to ask for a speed and a yaw rate.
@@ -62,18 +55,34 @@ def load(
         >>> environment.reset().observation["command"].tolist()
         [0.5, 0.0]
     """
+    return load_task(
+        riding(robot, transporter, **task), randomization=randomization, time_limit=time_limit, random=random
+    )
+
+
+def load_task(
+    task: Task,
+    *,
+    randomization: Randomization = "train",
+    time_limit: float = 20.0,
+    random: int | np.random.RandomState | None = None,
+) -> control.Environment:
+    """Return one robot at any task, through dm_control's API.
+
+    Args:
+        task: such as :func:`~torchrl_atr.envs.tasks.walking` or one of your own.
+        randomization: see :func:`load`.
+        time_limit: likewise.
+        random: likewise.
+    """
     check_number("time_limit", time_limit, above=0.0)
-    readings = get_readings(profile)
-    rider = get_robot(robot)
-    scene = build_scene(rider, get_transporter(transporter, rider), readings)
-    engine = DmControlEngine(scene, readings)
-    core = RidingTask(engine, readings, randomization, pushes, torch.Generator(), rewards=rewards)
-    task = SuiteTask(core, random)
-    return control.Environment(engine.physics, task, time_limit=time_limit, n_sub_steps=DECIMATION)
+    engine = DmControlEngine(build_scene(task.robot, task.support), task.hook)
+    runner = EpisodeRunner(task, engine, randomization, torch.Generator())
+    return control.Environment(engine.physics, SuiteTask(runner, random), time_limit=time_limit, n_sub_steps=DECIMATION)
 
 
 class SuiteTask(control.Task):
-    """Hands dm_control's calls on to the one task that ``RidingEnv`` drives as well.
+    """Hands dm_control's calls on to the runner that ``QuadrupedEnv`` drives as well.
 
     Observations are flat float32 arrays: ``proprio``, ``command``, ``observation`` (the two joined), ``odometry``;
     and, not for a policy, ``speeds``, ``privileged_intrinsic``, ``privileged_extrinsic`` and ``privileged_outlook``.
@@ -81,18 +90,18 @@ class SuiteTask(control.Task):
     to the joints' control ranges.
 
     Args:
-        core: the task over a :class:`~torchrl_atr.envs.physics.dmc.DmControlEngine`.
+        runner: of a :class:`~torchrl_atr.envs.physics.dmc.DmControlEngine`.
         random: a seed or a random state.
 
     Attributes:
         reward_terms: the last step's weighted reward terms by name.
     """
 
-    def __init__(self, core: RidingTask, random: int | np.random.RandomState | None = None) -> None:
-        self.core = core
+    def __init__(self, runner: EpisodeRunner, random: int | np.random.RandomState | None = None) -> None:
+        self.runner = runner
         self._random = random if isinstance(random, np.random.RandomState) else np.random.RandomState(random)
-        self._command = torch.zeros(1, len(COMMAND_FEATURES), dtype=torch.float32)
-        self._outcome: Outcome | None = None
+        self._command = torch.zeros(1, len(runner.task.command), dtype=torch.float32)
+        self._outcome: StepOutcome | None = None
 
     @property
     def command(self) -> NDArray[np.float32]:
@@ -104,8 +113,8 @@ class SuiteTask(control.Task):
         with np.errstate(over="ignore"):  # it becomes an infinity, which is refused
             command = torch.as_tensor(np.asarray(value, dtype=np.float32)).reshape(1, -1)
         if command.shape != self._command.shape or not torch.isfinite(command).all():
-            names = ", ".join(COMMAND_FEATURES)
-            raise ValueError(f"command={value!r}: give {len(COMMAND_FEATURES)} finite numbers, ({names})")
+            names = self.runner.task.command.names
+            raise ValueError(f"command={value!r}: give {len(names)} finite numbers, ({', '.join(names)})")
         self._command = command.clone()
 
     @property
@@ -113,35 +122,35 @@ class SuiteTask(control.Task):
         """See the class."""
         return {} if self._outcome is None else {name: float(value) for name, value in self._outcome.terms.items()}
 
-    def initialize_episode(self, physics: RidingPhysics) -> None:
+    def initialize_episode(self, physics: EnginePhysics) -> None:
         """Fresh intrinsics and initial state, drawn from this task's random state."""
-        self.core.rng.manual_seed(int(self._random.randint(2**31)))
-        self.core.begin(np.arange(1))
+        self.runner.rng.manual_seed(int(self._random.randint(2**31)))
+        self.runner.start_episodes(torch.arange(1), torch.zeros_like(self._command))
         self._outcome = None
 
-    def before_step(self, action: ArrayLike, physics: RidingPhysics) -> None:
+    def before_step(self, action: ArrayLike, physics: EnginePhysics) -> None:
         """Pushes that are due and the joint targets."""
-        self.core.act(torch.as_tensor(np.array(action)).reshape(1, -1))
+        self.runner.apply_action(torch.as_tensor(np.array(action)).reshape(1, -1))
 
-    def after_step(self, physics: RidingPhysics) -> None:
+    def after_step(self, physics: EnginePhysics) -> None:
         """Rewards and terminations, once per control step."""
-        self._outcome = self.core.judge(self._command)
+        self._outcome = self.runner.evaluate_step(self._command)
 
-    def action_spec(self, physics: RidingPhysics) -> specs.BoundedArray:
+    def action_spec(self, physics: EnginePhysics) -> specs.BoundedArray:
         """Joint displacements in units of the action scale, in the range of ``RidingEnv``'s spec."""
-        return specs.BoundedArray((self.core.joints,), np.float64, -ACTION_LIMIT, ACTION_LIMIT, name="action")
+        return specs.BoundedArray((self.runner.joints,), np.float64, -ACTION_LIMIT, ACTION_LIMIT, name="action")
 
-    def get_observation(self, physics: RidingPhysics) -> dict[str, NDArray[np.float32]]:
+    def get_observation(self, physics: EnginePhysics) -> dict[str, NDArray[np.float32]]:
         """Flat names, one array each."""
-        observed = self.core.observe(self._command) if self._outcome is None else self._outcome.observed
+        observed = self.runner.observe(self._command) if self._outcome is None else self._outcome.observed
         return {_flat(key): value[0].numpy().copy() for key, value in observed.items()}
 
-    def get_reward(self, physics: RidingPhysics) -> float:
+    def get_reward(self, physics: EnginePhysics) -> float:
         """The sum of all terms."""
         assert self._outcome is not None  # dm_control asks after a step
         return float(self._outcome.reward)
 
-    def get_termination(self, physics: RidingPhysics) -> float | None:
+    def get_termination(self, physics: EnginePhysics) -> float | None:
         """Discount 0 if the episode ended early, else None."""
         return 0.0 if self._outcome is not None and bool(self._outcome.terminated) else None
 

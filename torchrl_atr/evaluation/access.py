@@ -1,10 +1,10 @@
-"""What evaluation needs of an env besides TorchRL's interface: pinned commands, true speeds, state names."""
+"""What evaluation needs of an env besides TorchRL's interface: pinned commands, achieved speeds, names of states."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from tensordict.nn import TensorDictModuleBase
@@ -13,8 +13,7 @@ from torchrl.envs import Compose, EnvBase, TransformedEnv
 from torchrl.envs.transforms import Transform
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_atr.envs.task.observations import EXTRINSIC, extrinsic_components
-from torchrl_atr.envs.task.state import StateReader
+from torchrl_atr.envs import QuadrupedEnv
 
 
 def base_env(env: EnvBase) -> Any:
@@ -71,29 +70,43 @@ def _transforms(env: EnvBase) -> Iterator[Transform]:
         env = env.base_env
 
 
-def platform_speeds(env: EnvBase) -> Tensor:
-    """Forward speed (m/s) and yaw rate (rad/s) of each robot's platform now, (N, 2) float32.
+def achieved_speeds(env: EnvBase) -> Tensor:
+    """Return what answers each component of the command now, such as forward speed and yaw rate, (N, C) float32.
 
     Raises:
-        TypeError: if the env is not a RidingEnv below its transforms.
+        TypeError: if the env below all transforms is not a QuadrupedEnv whose task observes ``speeds``.
     """
-    engine = getattr(base_env(env), "engine", None)
-    if engine is None:
+    speeds = getattr(base_env(env), "speeds", None)
+    if speeds is None:
         raise TypeError(
-            f"{type(base_env(env)).__name__} has no physics engine to read speeds from; pass speeds=, a "
+            f"{type(base_env(env)).__name__} does not say what answers the command; pass speeds=, a "
             "function of the env that returns (N, 2): forward speed in m/s and yaw rate in rad/s"
         )
-    return torch.tensor(engine.speeds, dtype=torch.float32)
+    return speeds
 
 
-def extrinsic_names(env: EnvBase, size: int) -> tuple[str, ...]:
-    """Names of the ``size`` extrinsic states, in order: ``contacts[0]``, ... (numbers for envs not ours)."""
-    engine = getattr(base_env(env), "engine", None)
-    if engine is not None:
-        state = StateReader(engine).read()
-        components = extrinsic_components(engine.law.readings)
-        widths = {name: EXTRINSIC[name](state).shape[-1] for name in components}
-        names = tuple(f"{name}[{i}]" for name, width in widths.items() for i in range(width))
-        if len(names) == size:
-            return names
-    return tuple(f"extrinsic[{i}]" for i in range(size))
+class Component(NamedTuple):
+    """A component of the extrinsic state.
+
+    Attributes:
+        name: such as ``body_velocity[0]``.
+        label: what tables call it, such as ``body velocity x``.
+        unit: of it; None where it is not known.
+    """
+
+    name: str
+    label: str
+    unit: str | None
+
+
+def extrinsic_components(env: EnvBase, size: int) -> tuple[Component, ...]:
+    """Return the ``size`` components of the extrinsic state, in order (numbers for envs not ours)."""
+    key, base = ("privileged", "extrinsic"), base_env(env)
+    if isinstance(base, QuadrupedEnv) and key in base.task.observations:
+        observations = base.runner.terms.observations
+        pairs = zip(observations.names(key), observations.labels(key))
+        components = tuple(Component(name, label, unit or None) for name, (label, unit) in pairs)
+        if len(components) == size:
+            return components
+    names = [f"extrinsic[{i}]" for i in range(size)]
+    return tuple(Component(name, name, None) for name in names)

@@ -12,6 +12,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from torchrl_atr.evaluation.access import Component
 from torchrl_atr.modules.keys import NetworkKeys
 
 Array = NDArray[np.float64]
@@ -23,7 +24,7 @@ class EstimatorErrors:
 
     Attributes:
         steps: how many steps those are, (V, W, R).
-        names: of the E extrinsic states.
+        components: the E extrinsic states.
         extrinsic: mean |x̂ - x| of each state, (V, W, R, E).
         extrinsic_squared: mean |x̂ - x|², (V, W, R, E).
         latent: mean ‖ẑ - z‖, (V, W, R); None without an encoder.
@@ -31,7 +32,7 @@ class EstimatorErrors:
     """
 
     steps: Array
-    names: tuple[str, ...]
+    components: tuple[Component, ...]
     extrinsic: Array
     extrinsic_squared: Array
     latent: Array | None = None
@@ -52,19 +53,20 @@ class EstimatorErrors:
             return together.reshape(*shape, *together.shape[1:])
 
         fields = ("steps", "extrinsic", "extrinsic_squared", "latent", "latent_squared")
-        return EstimatorErrors(names=known[0].names, **{name: joined(name) for name in fields})  # type: ignore[arg-type]
+        return EstimatorErrors(components=known[0].components, **{name: joined(name) for name in fields})  # type: ignore[arg-type]
 
-    def moments(self) -> tuple[tuple[float, float] | None, list[tuple[str, float, float]]]:
+    def moments(self) -> tuple[tuple[float, float] | None, list[tuple[Component, float, float]]]:
         """Mean and standard deviation over all steps of all trials: latent, and each extrinsic state.
 
         Example:
             >>> moments = np.array([[[[0.1, 0.2]]]])
-            >>> errors = EstimatorErrors(np.ones((1, 1, 1)), ("a", "b"), moments, moments**2)
-            >>> [(name, mean) for name, mean, _ in errors.moments()[1]]
+            >>> components = Component("a", "a", "m"), Component("b", "b", "m")
+            >>> errors = EstimatorErrors(np.ones((1, 1, 1)), components, moments, moments**2)
+            >>> [(component.name, mean) for component, mean, _ in errors.moments()[1]]
             [('a', 0.1), ('b', 0.2)]
         """
         pooled = self._pool(self.extrinsic), self._pool(self.extrinsic_squared)
-        extrinsic = [(name, *_spread(m, s)) for name, m, s in zip(self.names, *pooled)]
+        extrinsic = [(component, *_spread(m, s)) for component, m, s in zip(self.components, *pooled)]
         if self.latent is None or self.latent_squared is None:
             return None, extrinsic
         return _spread(float(self._pool(self.latent)), float(self._pool(self.latent_squared))), extrinsic
@@ -85,7 +87,7 @@ class EstimatorSums:
         n: robots.
         encoder: reads the env's privileged entries and writes the true latent; None to leave the latent out.
         keys: names of the entries.
-        names: names of the extrinsic states, given how many there are.
+        components: the extrinsic states, given how many there are.
     """
 
     def __init__(
@@ -93,9 +95,9 @@ class EstimatorSums:
         n: int,
         encoder: TensorDictModuleBase | None,
         keys: NetworkKeys,
-        names: Callable[[int], tuple[str, ...]],
+        components: Callable[[int], tuple[Component, ...]],
     ) -> None:
-        self._encoder, self._keys, self._names = encoder, keys, names
+        self._encoder, self._keys, self._components = encoder, keys, components
         self._steps = torch.zeros(n, dtype=torch.float64)
         self._sums: dict[str, Tensor] = {}
 
@@ -125,5 +127,5 @@ class EstimatorSums:
             name: (value / self._steps.reshape(-1, *[1] * (value.ndim - 1))).numpy()
             for name, value in self._sums.items()
         }
-        names = self._names(means["extrinsic"].shape[-1])
-        return EstimatorErrors(steps=self._steps.numpy(), names=names, **means)
+        components = self._components(means["extrinsic"].shape[-1])
+        return EstimatorErrors(steps=self._steps.numpy(), components=components, **means)

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.metrics import EPSILONS, command_area, do_nothing
 from torchrl_atr.evaluation.plotting import (
     GREY,

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_atr.envs.task.observations import extrinsic_label
 from torchrl_atr.evaluation.tracking import TrackingResult
 
 Array = NDArray[np.float64]
@@ -142,9 +141,8 @@ def estimator_table(result: TrackingResult) -> dict[str, Any] | None:
         return None
     latent, extrinsic = result.estimators.moments()
     rows = []
-    for name, mean, std in extrinsic:
-        label, unit = extrinsic_label(name)
-        rows.append({"name": name, "label": label, "unit": unit, "mean": mean, "std": std})
+    for component, mean, std in extrinsic:
+        rows.append({**component._asdict(), "mean": mean, "std": std})
     norm = None
     if latent is not None:
         norm = {"label": "intrinsics' latent (norm)", "unit": "1", "mean": latent[0], "std": latent[1]}

@@ -79,7 +79,7 @@ class Picture:
 
     Raises:
         DisplayError: if nothing here can render; says what to install.
-        TypeError: if the env is not a RidingEnv below its transforms.
+        TypeError: if the env is not a QuadrupedEnv below its transforms.
         InputError: if the picture is too large, or there is no such camera.
     """
 
@@ -164,23 +164,23 @@ class Picture:
 
 
 class Mirror:
-    """A MuJoCo model and data of our own that show one robot of an env, where its odometer says it is on the floor.
+    """A MuJoCo model and data of our own that show one robot of an env, where it is on the floor.
 
-    Positions are those of the odometer less a whole number of the floor's tiles, within 50 m of the origin: the
+    Positions are those in the world less a whole number of the floor's tiles, within 50 m of the origin: the
     picture is the same, and float32, in which OpenGL computes, does not jitter after kilometres.
 
     Args:
-        env: a RidingEnv, transformed or not; either engine.
+        env: a QuadrupedEnv, transformed or not; either engine.
         row: which robot.
 
     Raises:
-        TypeError: if the env is not a RidingEnv below its transforms.
+        TypeError: if the env is not a QuadrupedEnv below its transforms.
     """
 
     def __init__(self, env: EnvBase, row: int = 0) -> None:
         base = base_env(env)
         if not hasattr(base, "engine"):
-            raise TypeError(f"{type(base).__name__} has no MuJoCo engine to show; use a RidingEnv")
+            raise TypeError(f"{type(base).__name__} has no MuJoCo engine to show; use a QuadrupedEnv")
         self.engine, self.row = base.engine, row
         # what is randomised (masses, gains, friction) does not show, so the nominal model will do
         self.model: mujoco.MjModel = copy.copy(base.model)
@@ -192,17 +192,18 @@ class Mirror:
 
     def update(self) -> None:
         """Copies the robot's configuration from the env."""
-        layout, engine = self.engine.scene.layout, self.engine
-        self.data.qpos[:] = engine.qpos[self.row]
-        place = near_origin(engine.odometer[self.row], self._period)
-        for x_address in (layout.planar_qpos[0], layout.root_qpos):
-            self.data.qpos[x_address : x_address + 2] += place
+        engine = self.engine
+        self.data.qpos[:] = engine.qpos[self.row].numpy()
+        place = near_origin(engine.world_offset[self.row].numpy(), self._period)
+        for addresses in engine.scene.layout.carried_qpos:
+            self.data.qpos[addresses] += place
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         self.data.light_xpos[:, :2] += self.pose()[:2]  # the light goes along, or shadows would be left behind
 
     def pose(self) -> tuple[float, float, float]:
-        """Position (m, less a whole number of tiles) and heading (rad, not wrapped) of the board in the picture."""
-        x, y, heading = self.data.qpos[self.engine.scene.layout.planar_qpos]
-        return float(x), float(y), float(heading)
+        """Return position (m, less a whole number of tiles) and heading (rad) of what the camera follows."""
+        body = self.engine.scene.layout.followed_body
+        (x, y, _), rotation = self.data.xpos[body], self.data.xmat[body]
+        return float(x), float(y), float(np.arctan2(rotation[3], rotation[0]))

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import torch
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr._registry import UnknownNameError
-from torchrl_atr.envs import Readings, RidingEnv
+from torchrl_atr.envs import QuadrupedEnv, Readings, make_task
 from torchrl_atr.envs.models.identity import describe, differences, first_few
-from torchrl_atr.envs.physics.engine import DECIMATION
+from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
 from torchrl_atr.envs.recorder import load_dump
-from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.evaluation.rendering import Picture
 from torchrl_atr.evaluation.video import check_suffix, video_writer
 
@@ -27,8 +26,8 @@ class ReplayedStep:
 
     Attributes:
         step: since the start of the episode.
-        speed, yaw_rate: of the transporter after it, m/s and rad/s.
-        tilt: the larger of the deck's two hinge angles, rad.
+        speed, yaw_rate: what answers the command after it, m/s and rad/s.
+        tilt: the larger of the body's roll and pitch, rad.
         largest_velocity: of all of MuJoCo's ``qvel`` after it, m/s or rad/s.
         largest_action: of the twelve, in units of the action scale.
         diverged: whether the simulation failed in it.
@@ -44,7 +43,7 @@ class ReplayedStep:
 
 
 def replay(path: str | Path, video: str | Path | None = None) -> Generator[ReplayedStep, None, None]:
-    """Steps through a dump that a :class:`~torchrl_atr.envs.RidingEnv` with a ``dump_dir`` wrote.
+    """Steps through a dump that a :class:`~torchrl_atr.envs.QuadrupedEnv` with a ``dump_dir`` wrote.
 
     Args:
         path: the dump.
@@ -77,7 +76,7 @@ def replay(path: str | Path, video: str | Path | None = None) -> Generator[Repla
             yield step
 
 
-def _scene(dump: dict[str, Any], path: Path) -> RidingEnv:
+def _scene(dump: dict[str, Any], path: Path) -> QuadrupedEnv:
     scene = dump["scene"]
     try:
         readings = Readings(**scene["readings"])
@@ -86,43 +85,38 @@ def _scene(dump: dict[str, Any], path: Path) -> RidingEnv:
     except TypeError as error:
         raise InputError(f"{path} was written by another version ({error}); replay it with that one") from error
     try:
-        env = RidingEnv(
-            scene["robot"],
-            scene["transporter"],
-            num_envs=1,
-            profile=readings,
-            randomization="off",
-            pushes=False,
-            num_threads=1,
-            seed=0,
-        )
+        arguments = {name: scene[name] for name in scene.keys() - {"task", "readings", "model"}}
+        task = make_task(scene.get("task", "riding"), **arguments, profile=readings, pushes=False)
+        env = QuadrupedEnv(task, num_envs=1, randomization="off", num_threads=1, seed=0)
     except UnknownNameError as error:
         raise InputError(f"{path}: {error}; if a module of yours registers it, give that with --import") from error
     changed = differences(scene["model"], describe(env.scene))
     if changed:
         raise InputError(
-            f"{path} is of another {env.scene.robot.name!r} on {env.scene.transporter.name!r} than the ones known here "
+            f"{path} is of another {env.scene.robot.name!r} on {env.scene.support.name!r} than the ones known here "
             f"({first_few(changed)}); replay it with those that it was written with"
         )
     return env
 
 
-def _steps(env: RidingEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:
+def _steps(env: QuadrupedEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:
     engine, states, actions = env.engine, dump["states"], dump["actions"]
-    idle = env.task.get_state()
+    idle, reader = env.runner.get_state(), env.runner.terms.reader
+    command = torch.zeros(1, len(env.task.command), dtype=torch.float32)
     for index, action in enumerate(actions):
         begun = {name: value[index].unsqueeze(0) for name, value in states.items()}
-        env.task.set_state({**idle, **begun, "x_int": dump["x_int"].unsqueeze(0)})
-        engine.time[...] = dump["step"]  # any but 0: MuJoCo starts it anew where it resets a simulation, which shows
+        env.runner.set_state({**idle, **begun, "x_int": dump["x_int"].unsqueeze(0)})
+        # any time but 0: MuJoCo starts it anew where it resets a simulation, which shows
+        engine.set_time(torch.tensor([float(dump["step"])], dtype=torch.float64))
         engine.advance(DECIMATION)
-        tilt = engine.qpos[0, engine.scene.layout.tilt_qpos]
+        speeds = env.runner.observe(command)["speeds"][0]
         last = index == len(actions) - 1
         yield ReplayedStep(
             step=dump["step"] - len(actions) + 1 + index,
-            speed=float(engine.speeds[0, 0]),
-            yaw_rate=float(engine.speeds[0, 1]),
-            tilt=float(np.abs(tilt).max()),
-            largest_velocity=float(np.abs(engine.qvel[0]).max()),
+            speed=float(speeds[0]),
+            yaw_rate=float(speeds[1]),
+            tilt=float(reader.read().euler[0, :2].abs().max()),
+            largest_velocity=float(engine.qvel[0].abs().max()),
             largest_action=float(action.abs().max()),
             diverged=bool(engine.diverged[0]) or (last and "not finite" in dump["reason"]),
         )

@@ -18,8 +18,8 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.evaluation.access import command_owner, deterministic, extrinsic_names, platform_speeds
+from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.evaluation.access import achieved_speeds, command_owner, deterministic, extrinsic_components
 from torchrl_atr.evaluation.estimators import EstimatorErrors, EstimatorSums
 from torchrl_atr.modules.keys import NetworkKeys
 
@@ -112,7 +112,7 @@ def evaluate_tracking(
     seed: int = 0,
     *,
     encoder_module: TensorDictModuleBase | None = None,
-    speeds: Callable[[EnvBase], Tensor] = platform_speeds,
+    speeds: Callable[[EnvBase], Tensor] = achieved_speeds,
     dt: float = CONTROL_DT,
     keys: NetworkKeys | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -132,7 +132,7 @@ def evaluate_tracking(
         settle: seconds at its start that the settled figures leave out.
         seed: of the first chunk's env; the next ones count on from it.
         encoder_module: reads the env's intrinsics and writes the latent, for the latent estimate's error.
-        speeds: measures forward speed and yaw rate of an env's robots, (N, 2).
+        speeds: measures what answers the command of an env's robots, (N, 2).
         dt: control period, s.
         keys: names of the TensorDict entries, if the env has its own.
         progress: called with (steps done, steps in total) after every step.
@@ -212,7 +212,7 @@ class _Ride:
         keys: NetworkKeys,
     ) -> None:
         self.policy, self.env, self.commands, self.speeds, self.keys = policy, env, commands, speeds, keys
-        self.sums = EstimatorSums(len(commands), encoder, keys, lambda size: extrinsic_names(env, size))
+        self.sums = EstimatorSums(len(commands), encoder, keys, lambda size: extrinsic_components(env, size))
         self._measured: list[Tensor] = []
         self._alive: list[Tensor] = []
 

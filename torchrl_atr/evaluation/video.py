@@ -14,8 +14,8 @@ from torchrl.envs import EnvBase
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr._interrupt import signals_held
-from torchrl_atr.envs.task.state import CONTROL_DT
-from torchrl_atr.evaluation.access import command_owner, deterministic, platform_speeds
+from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.evaluation.access import achieved_speeds, command_owner, deterministic
 from torchrl_atr.evaluation.rendering import CHASE, Picture
 
 Command = tuple[float, float, float]
@@ -102,7 +102,7 @@ def record_video(
         for step, (command, fell) in enumerate(ride(policy, env, commands, round(seconds / CONTROL_DT)), start=1):
             falls += fell
             if step % every == 0:
-                names, values = _caption(step * CONTROL_DT, command, platform_speeds(env)[0].tolist(), falls)
+                names, values = _caption(step * CONTROL_DT, command, achieved_speeds(env)[0].tolist(), falls)
                 writer.add_image(picture.render(names, values, period))
                 frames += 1
     return Ride(steps=step, frames=frames, falls=falls)

@@ -9,7 +9,7 @@ import numpy as np
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.rendering import DisplayError, Mirror, has_display
 from torchrl_atr.evaluation.video import Command, ride
 
@@ -84,7 +84,7 @@ def play_viewer(
     asked: Sequence[Command] = keyboard if commands is None else commands  # type: ignore[assignment]
     with mujoco.viewer.launch_passive(mirror.model, mirror.data, key_callback=keyboard) as window:
         window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
-        window.cam.trackbodyid = mirror.engine.scene.layout.platform_body
+        window.cam.trackbodyid = mirror.engine.scene.layout.followed_body
         window.cam.distance, window.cam.elevation = 2.6, -18.0
         begun = time.monotonic()
         for step, _ in enumerate(ride(policy, env, asked, steps), start=1):

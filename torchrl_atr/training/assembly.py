@@ -13,7 +13,7 @@ from torchrl_atr._compilation import compile_methods
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.models.identity import PARTS
-from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.modules import EstimatorError, NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.sizes import estimator_sizes
@@ -31,7 +31,7 @@ DEPLOYED: dict[str, Any] = {
     "pushes": False,
     "runaway_margin": None,
     "max_steps": 2**31 - 1,
-    "retry": 0.0,
+    "failed_episode_replay": 0.0,
     "grid": None,
 }
 """Env arguments without what belongs to training only: a ride from rest, at any command, that only a fall ends."""
@@ -54,7 +54,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "seed": config.seed,
         "compiled": config.compiled,
         "moving_start": config.moving_start,
-        "retry": config.retry,
+        "failed_episode_replay": config.retry,
         "history_length": config.history_length,
         "max_steps": round(config.episode_seconds / CONTROL_DT),
         "stagger": TOGETHER,

@@ -179,7 +179,7 @@ class Collection:
         return {
             "env": base.get_state().to_dict(),
             "env_rng": base.rng.get_state(),
-            "num_diverged": base.task.num_diverged,
+            "num_diverged": base.runner.num_diverged,
             "transforms": dict(self.env.transform.state_dict()),
             "policy": {name: part.get_extra_state() for name, part in self._stateful()},
             "carried": self.collector._carrier.to_dict(),  # the root of the next step; TorchRL's state_dict lacks it
@@ -203,7 +203,7 @@ class Collection:
             ) from error
         base.set_state(TensorDict(state["env"], batch_size=base.batch_size))
         base.rng.set_state(state["env_rng"])
-        base.task.num_diverged = state["num_diverged"]
+        base.runner.num_diverged = state["num_diverged"]
         for name, part in self._stateful():
             part.set_extra_state(state["policy"][name])
         carried = TensorDict(state["carried"], batch_size=base.batch_size)

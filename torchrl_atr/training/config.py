@@ -16,8 +16,8 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models import get_robot, get_transporter
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
+from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.profiles import PROFILES
-from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import SOURCES, Source
 from torchrl_atr.training.ranges import BOUNDS, RANGES, plain, wrong_kind

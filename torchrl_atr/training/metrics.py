@@ -5,7 +5,7 @@ from __future__ import annotations
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.physics import CONTROL_DT
 
 _ERRORS = ("speed_error", "yaw_error")
 """Of the two speeds that a command asks for."""

@@ -112,7 +112,7 @@ def check_model(state: Mapping[str, Any], scene: Scene, run: Path, replaced: Col
         return
     here = describe(scene)
     changed = {part: differences(state["model"], here, [part]) for part in PARTS if part not in replaced}
-    names = {"robot": scene.robot.name, "transporter": scene.transporter.name}
+    names = {"robot": scene.robot.name, "transporter": scene.support.name}
     which = [part for part, texts in changed.items() if texts]
     if which:
         texts = first_few([text for part in which for text in changed[part]])

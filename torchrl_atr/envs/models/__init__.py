@@ -1,15 +1,20 @@
-"""What exists: robots, transporters, and the scene that joins them."""
+"""What exists: robots, what they stand on, and the scene that joins them."""
 
+from torchrl_atr.envs.models.boards import Transporter, TransporterLayout
 from torchrl_atr.envs.models.loading import load_robot
 from torchrl_atr.envs.models.robot import LEGS, ROBOTS, RobotError, RobotSpec, register_robot
 from torchrl_atr.envs.models.robot_file import get_robot, read_robot
 from torchrl_atr.envs.models.saving import scene_xml
 from torchrl_atr.envs.models.scene import Layout, Scene, build_scene, scene_spec
+from torchrl_atr.envs.models.support import FlatGround, Support
 from torchrl_atr.envs.models.transporter import (
     DESIGNS,
     SINGLE_BOARD,
     TRANSPORTERS,
     TWO_BOARD,
+    Board,
+    Design,
+    Hinge,
     TransporterError,
     TransporterSpec,
     get_transporter,
@@ -23,11 +28,18 @@ __all__ = [
     "SINGLE_BOARD",
     "TRANSPORTERS",
     "TWO_BOARD",
+    "Board",
+    "Design",
+    "FlatGround",
+    "Hinge",
     "Layout",
     "RobotError",
     "RobotSpec",
     "Scene",
+    "Support",
+    "Transporter",
     "TransporterError",
+    "TransporterLayout",
     "TransporterSpec",
     "build_scene",
     "get_robot",

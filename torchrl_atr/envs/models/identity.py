@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from torchrl_atr.envs.models.decks import PLANAR_JOINTS
+from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
 
 PARTS = ("robot", "transporter")
@@ -39,7 +39,7 @@ _TOLERANCE = 1e-6
 
 
 def describe(scene: Scene) -> Description:
-    """Describe what decides how a robot on a transporter moves: its specs, and the compiled model's physics.
+    """Describe what decides how a robot and its support move: their specs, and the compiled model's physics.
 
     Colours, textures, cameras, lights, geoms that touch nothing, and where the files lie are left out.
 
@@ -50,14 +50,13 @@ def describe(scene: Scene) -> Description:
         Nested dicts of numbers, texts and lists, the same for the same model wherever it was compiled.
 
     Example:
-        >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
-        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
-        >>> describe(scene)["robot"]["body FL_thigh"]["body_mass"]
+        >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene
+        >>> describe(build_scene(ROBOTS.get("a1"), FlatGround()))["robot"]["body FL_thigh"]["body_mass"]
         1.013
     """
     description: Description = {
-        "robot": {"spec": _facts(scene.robot, "name", "mjcf"), "option": _options(scene.model)},
-        "transporter": {"spec": _facts(scene.transporter, "name")},
+        "robot": {"spec": _facts(scene.robot), "option": _options(scene.model)},
+        scene.support.kind: {"spec": _plain(scene.support.describe())},
     }
     for part, element, fields in _elements(scene):
         description[part][element] = fields
@@ -114,9 +113,9 @@ def first_few(changed: Sequence[str], count: int = 2) -> str:
     return "; ".join([*changed[:count], *more])
 
 
-def _facts(spec: Any, *names: str) -> dict[str, Any]:
-    """The fields of a robot's or a transporter's spec but for those called ``names``."""
-    return {name: value for name, value in _plain(dataclasses.asdict(spec)).items() if name not in names}
+def _facts(robot: RobotSpec) -> dict[str, Any]:
+    """Return the fields of a robot's spec but for its name and its file."""
+    return {name: value for name, value in _plain(dataclasses.asdict(robot)).items() if name not in ("name", "mjcf")}
 
 
 def _options(model: mujoco.MjModel) -> dict[str, Any]:
@@ -124,9 +123,10 @@ def _options(model: mujoco.MjModel) -> dict[str, Any]:
 
 
 def _elements(scene: Scene) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Part, label and fields of all that moves or is moved; the floor and the planar joints are the scene's own."""
+    """Yield part, label and fields of all that moves or is moved; the floor is the scene's own."""
     model = scene.model
-    boards = {i for i in range(model.nbody) if _descends(model, i, scene.layout.platform_body)}
+    support = scene.support
+    theirs = {model.body(name).id for name in support.bodies}
     labels: dict[str, int] = {}
     for kind in _KINDS:
         names = [name for name in dir(model) if name.startswith(f"{kind}_") and name not in _DERIVED]
@@ -135,13 +135,13 @@ def _elements(scene: Scene) -> Iterator[tuple[str, str, dict[str, Any]]]:
             body = {"body": i}.get(kind, int(getattr(model, f"{kind}_bodyid")[i]) if kind in ("jnt", "geom") else -1)
             name = mujoco.mj_id2name(model, _OBJECTS[kind], i) or ""
             touches = kind != "geom" or model.geom_contype[i] or model.geom_conaffinity[i]
-            if body == 0 or not touches or name in PLANAR_JOINTS:
+            if body == 0 or not touches or name in support.joints:
                 continue
             fields = {field: _plain(array[i]) for field, array in arrays.items()}
             fields |= _EXTRAS.get(kind, lambda *_: {})(model, i)
             label = f"{_NOUNS.get(kind, kind)} {name}" if name else f"{_NOUNS.get(kind, kind)} on {_body(model, body)}"
             labels[label] = count = labels.get(label, 0) + 1
-            yield "transporter" if body in boards else "robot", label if count == 1 else f"{label} ({count})", fields
+            yield support.kind if body in theirs else "robot", label if count == 1 else f"{label} ({count})", fields
 
 
 _NOUNS = {"jnt": "joint", "eq": "constraint"}
@@ -163,12 +163,6 @@ def _compared(name: str, value: Any) -> bool:
 
 def _body(model: mujoco.MjModel, i: int) -> str:
     return (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, i) or f"body {i}") if i >= 0 else "the robot"
-
-
-def _descends(model: mujoco.MjModel, body: int, ancestor: int) -> bool:
-    while body not in (0, ancestor):
-        body = int(model.body_parentid[body])
-    return body == ancestor
 
 
 def _body_extras(model: mujoco.MjModel, i: int) -> dict[str, Any]:
@@ -207,6 +201,9 @@ def _plain(value: Any) -> Any:
         return np.atleast_1d(value).reshape(-1).tolist() if np.ndim(value) else value.item()
     if isinstance(value, list | tuple | set | frozenset):
         return [_plain(entry) for entry in value]
+    if callable(value):
+        named = value if hasattr(value, "__qualname__") else type(value)
+        return f"{named.__module__}.{named.__qualname__}"
     return str(value) if isinstance(value, Path) else value
 
 

@@ -28,6 +28,11 @@ def get_robot(robot: str | Path | RobotSpec) -> RobotSpec:
     return read_robot(robot) if is_spec_file(robot) else ROBOTS.get(str(robot))
 
 
+def describe_robot(robot: str | Path | RobotSpec) -> str:
+    """Return what :func:`get_robot` makes the same robot of elsewhere: a registered name, or a path."""
+    return robot.name if isinstance(robot, RobotSpec) else str(robot)
+
+
 def read_robot(path: str | Path) -> RobotSpec:
     """A robot described by a TOML file, whose keys are the fields of :class:`RobotSpec`.
 

@@ -12,28 +12,27 @@ from torchrl_atr.envs.models.identity import describe, differences, first_few
 from torchrl_atr.envs.models.loading import blame_file, compile_spec
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import join, scene_spec
-from torchrl_atr.envs.models.transporter import TransporterSpec
-from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.models.support import Support
 
 
-def scene_xml(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> str:
+def scene_xml(robot: RobotSpec, support: Support) -> str:
     """Return the scene as an MJCF file that MuJoCo reads as the same model, to the last bit; meshes by absolute path.
 
     Raises:
         RobotError: as :func:`~torchrl_atr.envs.models.build_scene`, or if MuJoCo cannot write the robot as MJCF.
 
     Example:
-        >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
-        >>> xml = scene_xml(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"), Readings())
+        >>> from torchrl_atr.envs.models import ROBOTS, FlatGround
+        >>> xml = scene_xml(ROBOTS.get("a1"), FlatGround())
         >>> mujoco.MjModel.from_xml_string(xml).nu
         12
     """
-    spec = scene_spec(robot, transporter, readings)
+    spec = scene_spec(robot, support)
     model = compile_spec(spec, robot)
     with blame_file(robot):
         xml = _name_classes(spec.to_xml())
         again = mujoco.MjModel.from_xml_string(xml)
-    written, read = (describe(join(robot, transporter, each)) for each in (model, again))
+    written, read = (describe(join(robot, support, each)) for each in (model, again))
     changed = differences(written, read)
     if changed:
         raise robot.error(

@@ -1,20 +1,19 @@
-"""The scene: one robot on one transporter, compiled, with the addresses of all that the task reads."""
+"""The scene: one robot on what it stands on, compiled, with the addresses of all that tasks read."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from torchrl_atr.envs.models.decks import DECK_HEIGHT, PLANAR_JOINTS, PLATFORM, add_transporter
 from torchrl_atr.envs.models.feet import find_feet
 from torchrl_atr.envs.models.isolation import check_names
 from torchrl_atr.envs.models.loading import compile_spec, load_robot
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.stance import standing_qpos
-from torchrl_atr.envs.models.transporter import TransporterSpec
-from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.models.support import FLOOR, Support
 
 STAND = "stand"
 """Keyframe of the robot standing in q0 with ctrl = q0; the scene has no other."""
@@ -22,97 +21,110 @@ _ROBOT_FORCE = "robot_force"
 """Unlike any of the feet's sensors, ``force_`` and ``position_`` with a geom's name."""
 TIMESTEP = 0.005
 """Simulation step, s (200 Hz)."""
-_ARMATURE_RATIO = 200.0
-# The planar joints carry an armature of 200 robot masses: even wild kicks (random actions of standard
-# deviation 1) move the prescribed motion by under 1 mm/s, and the solver, whose tolerance scales with the
-# trace of the inertia matrix, still converges.
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Addresses of the scene's parts in ``qpos``, ``qvel``, ``sensordata`` and the model's fields."""
+    """Addresses of the robot's parts in ``qpos``, ``qvel``, ``sensordata`` and the model's fields.
+
+    Attributes:
+        root_qpos, root_dof: where the trunk's free joint begins.
+        joint_qpos, joint_dof, actuators: of the leg joints in the spec's order, (12,).
+        sensors: of forces and places, by name.
+        trunk_body: the root body.
+        support_geoms: what the feet touch.
+        origin_qpos: x and y of the place that the simulation is kept near the world's origin around, (2,); empty for a
+            support that is fixed in the world.
+        carried_qpos: x and y of all that moves along with it, (k, 2).
+        followed_body: what cameras follow.
+        foot_sizes: how many geoms each foot has: the sensors ``foot_force`` and ``foot_position`` read them one by one.
+    """
 
     root_qpos: int
     root_dof: int
     joint_qpos: np.ndarray
     joint_dof: np.ndarray
     actuators: np.ndarray
-    planar_qpos: np.ndarray
-    planar_dof: np.ndarray
-    tilt_qpos: np.ndarray
-    tilt_dof: np.ndarray
-    tilt_joints: np.ndarray
-    tilt_gains: np.ndarray
     sensors: dict[str, slice]
     trunk_body: int
-    platform_body: int
-    deck_bodies: np.ndarray
-    deck_geoms: np.ndarray
+    support_geoms: np.ndarray
+    origin_qpos: np.ndarray
+    carried_qpos: np.ndarray
+    followed_body: int
     foot_sizes: tuple[int, ...]
-    """How many geoms each foot has: the sensors ``foot_force`` and ``foot_position`` read them one by one."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A compiled scene; ``model``'s keyframe 0, ``stand``, is the robot standing in q0 with ctrl = q0."""
+    """A compiled scene; ``model``'s keyframe 0, ``stand``, is the robot standing in q0 with ctrl = q0.
+
+    Attributes:
+        robot: its spec.
+        support: what it stands on, a :class:`~torchrl_atr.envs.models.support.Support`.
+        model: the compiled model.
+        layout: addresses of the robot's parts.
+        support_layout: addresses of the support's parts, as its ``locate`` gives them.
+    """
 
     robot: RobotSpec
-    transporter: TransporterSpec
+    support: Any
     model: mujoco.MjModel
     layout: Layout
+    support_layout: Any
 
 
-def build_scene(robot: RobotSpec, transporter: TransporterSpec, readings: Readings | None = None) -> Scene:
-    """Joins a robot and a transporter into one compiled model.
+def build_scene(robot: RobotSpec, support: Support) -> Scene:
+    """Join a robot and what it stands on into one compiled model.
 
     Args:
-        robot: the rider.
-        transporter: what it stands on.
-        readings: fixes the unit of the self-balancing gains (A12).
+        robot: its spec.
+        support: such as :class:`~torchrl_atr.envs.models.boards.Transporter` or
+            :class:`~torchrl_atr.envs.models.support.FlatGround`.
 
     Returns:
-        The compiled scene: robot first, then the transporter with planar joints x, y, yaw and two tilt hinges.
+        The compiled scene: robot first, then the support.
+
+    Raises:
+        RobotError: if the robot cannot stand there as it is described.
 
     Example:
-        >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS
-        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
-        >>> scene.model.nu
+        >>> from torchrl_atr.envs.models import ROBOTS, FlatGround
+        >>> build_scene(ROBOTS.get("a1"), FlatGround()).model.nu
         12
     """
-    model = compile_spec(scene_spec(robot, transporter, readings or Readings()), robot)
-    return join(robot, transporter, model)
+    return join(robot, support, compile_spec(scene_spec(robot, support), robot))
 
 
-def join(robot: RobotSpec, transporter: TransporterSpec, model: mujoco.MjModel) -> Scene:
+def join(robot: RobotSpec, support: Support, model: mujoco.MjModel) -> Scene:
     """Return the scene of which ``model`` is the compiled one."""
-    return Scene(robot, transporter, model, _layout(model, robot, transporter))
+    return Scene(robot, support, model, _layout(model, robot, support), support.locate(model))
 
 
-def scene_spec(robot: RobotSpec, transporter: TransporterSpec, readings: Readings) -> mujoco.MjSpec:
-    """The editable scene with its keyframe ``stand``; MuJoCo reads what ``to_xml()`` gives as the same model."""
+def scene_spec(robot: RobotSpec, support: Support) -> mujoco.MjSpec:
+    """Return the editable scene with its keyframe ``stand``; MuJoCo reads what ``to_xml()`` gives as the same model."""
     spec, alone = load_robot(robot)
     names = {geom.id: geom.name for geom in spec.geoms}
     feet = [names[geom] for foot in find_feet(alone, robot) for geom in foot]
-    armature = _ARMATURE_RATIO * float(mujoco.mj_getTotalmass(alone))
+    mass = float(mujoco.mj_getTotalmass(alone))
     fixtures = mujoco.MjSpec()
-    _add_fixtures(fixtures, transporter, readings, armature)
+    _add_fixtures(fixtures, support, mass)
     check_names(spec, fixtures, robot)
-    spec.modelname = f"{robot.name}-{transporter.name}"
+    spec.modelname = f"{robot.name}-{support.name}"
     spec.compiler.savecompiled = spec.compiler.savecanonical = False  # every digit, and as it was written
     _set_options(spec)
-    _add_fixtures(spec, transporter, readings, armature)
-    _add_sensors(spec, feet, robot)
+    _add_fixtures(spec, support, mass)
+    _add_sensors(spec, feet, robot, support)
     model = compile_spec(spec, robot)
-    layout = _layout(model, robot, transporter)
-    qpos = standing_qpos(model, robot, transporter, DECK_HEIGHT + transporter.size[2] / 2)
-    key = spec.add_key(name=STAND, qpos=qpos, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
+    layout = _layout(model, robot, support)
+    key = spec.add_key(name=STAND, ctrl=np.asarray(robot.q0)[_inverse(layout.actuators)])
+    key.qpos = standing_qpos(model, robot, support)
     key.qvel = np.zeros(model.nv)
     return spec
 
 
-def _add_fixtures(spec: mujoco.MjSpec, transporter: TransporterSpec, readings: Readings, armature: float) -> None:
+def _add_fixtures(spec: mujoco.MjSpec, support: Support, robot_mass: float) -> None:
     _add_surroundings(spec)
-    add_transporter(spec, transporter, readings, armature)
+    support.build(spec, robot_mass)
 
 
 def _set_options(spec: mujoco.MjSpec) -> None:
@@ -127,7 +139,7 @@ def _set_options(spec: mujoco.MjSpec) -> None:
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
-    """Floor, sky and light: to look at, never to touch."""
+    """Floor, sky and light: to look at; a support may make the floor one to touch."""
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
@@ -153,7 +165,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "scene_floor"
     world = spec.worldbody
     world.add_geom(
-        name="floor",
+        name=FLOOR,
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 0.05],
         material="scene_floor",
@@ -163,8 +175,8 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
     world.add_light(pos=[0, 0, 4], dir=[0.2, 0.1, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
 
 
-def _add_sensors(spec: mujoco.MjSpec, feet: list[str], robot: RobotSpec) -> None:
-    """Foot forces and positions, the contact force on the boards, the robot's centre of mass: one array."""
+def _add_sensors(spec: mujoco.MjSpec, feet: list[str], robot: RobotSpec, support: Support) -> None:
+    """Add foot forces and positions, the contact force on the support, the robot's centre of mass: one array."""
     force, netforce, one = (
         1 << 1,
         3,
@@ -177,8 +189,8 @@ def _add_sensors(spec: mujoco.MjSpec, feet: list[str], robot: RobotSpec) -> None
             type=mujoco.mjtSensor.mjSENS_CONTACT,
             objtype=objtype,
             objname=objname,
-            reftype=mujoco.mjtObj.mjOBJ_XBODY,
-            refname=PLATFORM,
+            reftype=support.contact[0],
+            refname=support.contact[1],
             intprm=[force, netforce, one],
         )
 
@@ -218,14 +230,14 @@ def _inverse(permutation: np.ndarray) -> np.ndarray:
     return inverse
 
 
-def _layout(model: mujoco.MjModel, robot: RobotSpec, transporter: TransporterSpec) -> Layout:
+def _layout(model: mujoco.MjModel, robot: RobotSpec, support: Support) -> Layout:
     joints = np.array([model.joint(name).id for name in robot.joints], dtype=int)
     actuator_of_joint = {int(joint): i for i, joint in enumerate(model.actuator_trnid[:, 0])}
     root = model.body(robot.trunk).jntadr[0]
-    planar = np.array([model.joint(name).id for name in PLANAR_JOINTS])
-    hinges = transporter.design.hinges
-    tilt = np.array([model.joint(hinge.name).id for hinge in hinges])
-    decks = np.array([model.geom(board.name).id for board in transporter.design.boards])
+    root_qpos = int(model.jnt_qposadr[root])
+    place = np.array([root_qpos, root_qpos + 1])
+    moved = np.array([model.jnt_qposadr[model.joint(name).id] for name in support.origin], dtype=int)
+    origin = place if support.endless else moved
 
     def sensor(first: str, last: str) -> slice:
         end = model.sensor(last)
@@ -234,17 +246,11 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec, transporter: TransporterSpe
     feet = find_feet(model, robot)
     first, last = model.geom(feet[0][0]).name, model.geom(feet[-1][-1]).name
     return Layout(
-        root_qpos=int(model.jnt_qposadr[root]),
+        root_qpos=root_qpos,
         root_dof=int(model.jnt_dofadr[root]),
         joint_qpos=model.jnt_qposadr[joints],
         joint_dof=model.jnt_dofadr[joints],
         actuators=np.array([actuator_of_joint[int(joint)] for joint in joints], dtype=int),
-        planar_qpos=model.jnt_qposadr[planar],
-        planar_dof=model.jnt_dofadr[planar],
-        tilt_qpos=model.jnt_qposadr[tilt],
-        tilt_dof=model.jnt_dofadr[tilt],
-        tilt_joints=tilt,
-        tilt_gains=np.array([hinge.gain for hinge in hinges]),
         sensors={
             "foot_force": sensor(f"force_{first}", f"force_{last}"),
             "robot_force": sensor(_ROBOT_FORCE, _ROBOT_FORCE),
@@ -252,8 +258,9 @@ def _layout(model: mujoco.MjModel, robot: RobotSpec, transporter: TransporterSpe
             "com": sensor("com", "com"),
         },
         trunk_body=model.body(robot.trunk).id,
-        platform_body=model.body(PLATFORM).id,
-        deck_bodies=model.geom_bodyid[decks],
-        deck_geoms=decks,
+        support_geoms=np.array([model.geom(name).id for name in support.geoms]),
+        origin_qpos=origin,
+        carried_qpos=np.stack([place] if support.endless or not len(moved) else [moved, place]),
+        followed_body=model.body(support.bodies[0] if support.bodies else robot.trunk).id,
         foot_sizes=tuple(len(foot) for foot in feet),
     )

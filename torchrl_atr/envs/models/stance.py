@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from torchrl_atr.envs.models.feet import find_feet, reach
 from torchrl_atr.envs.models.robot import LEGS, RobotSpec
-from torchrl_atr.envs.models.transporter import TransporterSpec
+from torchrl_atr.envs.models.support import Support
 
 _MAX_PITCH = 0.3
 _MAX_UNEVENNESS = 0.01
@@ -19,16 +19,13 @@ _SIDES = {(1, -1): "front right", (-1, -1): "rear right", (1, 1): "front left", 
 """Signs of x and y, in the order of :data:`LEGS`."""
 
 
-def standing_qpos(
-    model: mujoco.MjModel, robot: RobotSpec, transporter: TransporterSpec, deck_top: float
-) -> NDArray[np.float64]:
-    """q0 with the feet level on the deck and the robot's centre of mass over the pivot.
+def standing_qpos(model: mujoco.MjModel, robot: RobotSpec, support: Support) -> NDArray[np.float64]:
+    """Return q0 with the feet level on the support and the robot's centre of mass over its middle.
 
     Args:
         model: a scene with the robot in it.
-        robot: the rider.
-        transporter: whose deck it must fit.
-        deck_top: height of the deck's top above the floor, m.
+        robot: its spec.
+        support: whose surface it must fit.
 
     Returns:
         (nq,)
@@ -54,8 +51,8 @@ def standing_qpos(
     _check_level(soles, pitch, robot)
     _check_height(-soles.min(), robot)
     com = data.subtree_com[model.body(robot.trunk).id]
-    _check_on_deck(_centres(data, geoms)[:, :2] - com[:2], robot, transporter)
-    data.qpos[root : root + 3] = [-com[0], -com[1], deck_top - soles.min()]
+    _check_on_surface(_centres(data, geoms)[:, :2] - com[:2], robot, support)
+    data.qpos[root : root + 3] = [-com[0], -com[1], support.height - soles.min()]
     return data.qpos.copy()
 
 
@@ -121,11 +118,13 @@ def _check_height(height: float, robot: RobotSpec) -> None:
         )
 
 
-def _check_on_deck(feet: NDArray[np.float64], robot: RobotSpec, transporter: TransporterSpec) -> None:
-    length, width, _ = transporter.size
+def _check_on_surface(feet: NDArray[np.float64], robot: RobotSpec, support: Support) -> None:
+    if support.size is None:
+        return
+    length, width = support.size
     for (foot, *_), (x, y) in zip(robot.foot_names, feet):
         if abs(x) > length / 2 or abs(y) > width / 2:
             raise robot.error(
-                f"in q0 foot {foot!r} is off the deck of {transporter.name!r} ({length:g} x {width:g} m), {x:.2f} m "
+                f"in q0 foot {foot!r} is off the deck of {support.name!r} ({length:g} x {width:g} m), {x:.2f} m "
                 f"ahead and {y:.2f} m left of its pivot; choose a narrower q0, a larger transporter or group"
             )

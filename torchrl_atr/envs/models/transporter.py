@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import Registry, unknown
+from torchrl_atr.envs.models.drives import Drive, tilt_drive
 from torchrl_atr.envs.models.robot import GROUPS, RobotSpec
 from torchrl_atr.envs.models.spec_file import (
     LARGEST,
@@ -26,7 +27,7 @@ from torchrl_atr.envs.models.spec_file import (
 )
 from torchrl_atr.envs.profiles import Readings
 
-Matrix = tuple[tuple[float, float], tuple[float, float]]
+Matrix = tuple[tuple[float, ...], tuple[float, ...]]
 
 
 class TransporterError(UserError, ValueError):
@@ -67,17 +68,43 @@ class Board:
 
 @dataclass(frozen=True)
 class Design:
-    """A type of transporter: its boards and what their two hinge angles mean.
+    """A type of transporter: its boards, what their hinge angles mean, and how they drive it.
 
     Attributes:
         boards: of equal length and thickness, side by side.
         driving: the forward and the steering tilt (rows) as combinations of the hinge angles, in the boards' order.
         attitude: pitch and roll (rows) of the frame P, likewise.
+        drive: from tilt and speeds to propulsion; see :func:`~torchrl_atr.envs.models.drives.tilt_drive`, the default.
+
+    Raises:
+        TransporterError: if there is no hinge, a matrix has another number of columns than there are hinges, or
+            ``drive`` cannot be called.
+
+    Example:
+        >>> roll = Hinge("truck_roll", (1.0, 0.0, 0.0), gain=0)
+        >>> Design((Board("plank", 0.0, 1.0, (roll,)),), driving=((0.0,), (1.0,)), attitude=((0.0,), (1.0,))).hinges
+        (Hinge(name='truck_roll', axis=(1.0, 0.0, 0.0), gain=0),)
     """
 
     boards: tuple[Board, ...]
     driving: Matrix
     attitude: Matrix
+    drive: Drive = tilt_drive
+
+    def __post_init__(self) -> None:
+        count = len(self.hinges)
+        if not count:
+            raise TransporterError("a design needs a hinge: without one, no rider can tilt it")
+        for name in ("driving", "attitude"):
+            shape = np.shape(getattr(self, name))
+            if shape != (2, count):
+                raise TransporterError(
+                    f"{name} of a design has shape {shape}; with {count} hinges it needs (2, {count})"
+                )
+        if not callable(self.drive):
+            raise TransporterError(
+                f"drive={self.drive!r} of a design cannot be called; give a function like tilt_drive"
+            )
 
     @property
     def hinges(self) -> tuple[Hinge, ...]:
@@ -184,9 +211,10 @@ class TransporterSpec:
 
 
 TRANSPORTERS: Registry[TransporterSpec] = Registry("transporter", hint="or a .toml file that describes one")
-DESIGNS: dict[str, Design] = {"single_board": SINGLE_BOARD, "two_board": TWO_BOARD}
+DESIGNS: Registry[Design] = Registry("design")
 _SIZES = {"G1": ((0.9, 0.7, 0.05), 11.5, 1.0), "G2": ((1.5, 1.1, 0.05), 30.0, 5.0)}
-for _kind, _design in DESIGNS.items():
+for _kind, _design in {"single_board": SINGLE_BOARD, "two_board": TWO_BOARD}.items():
+    DESIGNS.register(_kind, _design)
     for _group in GROUPS:
         _size, _mass, _scale = _SIZES[_group]
         _name = f"{_kind}_{_group.lower()}"
@@ -219,20 +247,20 @@ def get_transporter(transporter: str | Path | Mapping[str, Any] | TransporterSpe
         return TransporterSpec(**values)
     if is_spec_file(transporter):
         return read_transporter(transporter)
-    known = [*DESIGNS, *TRANSPORTERS.names()]
+    group = robot.group.lower()
+    sized = [design for design in DESIGNS if f"{design}_{group}" in TRANSPORTERS]
+    known = [*sized, *TRANSPORTERS]
     if not isinstance(transporter, str) or transporter not in known:
         raise unknown("transporter", transporter, known, TRANSPORTERS.hint)
-    if transporter in DESIGNS:
-        return TRANSPORTERS.get(f"{transporter}_{robot.group.lower()}")
-    return TRANSPORTERS.get(transporter)
+    return TRANSPORTERS.get(f"{transporter}_{group}" if transporter in sized else transporter)
 
 
 def read_transporter(path: str | Path) -> TransporterSpec:
     """A transporter described by a TOML file, whose keys are the fields of :class:`TransporterSpec`.
 
     Args:
-        path: of the file; ``design`` in it is ``"single_board"`` or ``"two_board"``. Fields with a default may be left
-            out.
+        path: of the file; ``design`` in it is ``"single_board"``, ``"two_board"`` or another registered
+            one. Fields with a default may be left out.
 
     Raises:
         TransporterError: if the file is missing, malformed, lacks a key, has one too many, or holds an impossible
@@ -250,7 +278,8 @@ def read_transporter(path: str | Path) -> TransporterSpec:
 def _convert(values: dict[str, Any]) -> None:
     """Replace the name of a design by the design; one that is unknown stays, and is refused by name."""
     if isinstance(values["design"], str):
-        values["design"] = DESIGNS.get(values["design"], values["design"])
+        name = values["design"]
+        values["design"] = DESIGNS.get(name) if name in DESIGNS else name
 
 
 def describe_transporter(transporter: TransporterSpec) -> str | dict[str, Any]:
@@ -260,7 +289,7 @@ def describe_transporter(transporter: TransporterSpec) -> str | dict[str, Any]:
     """
     if transporter.name in TRANSPORTERS.names() and TRANSPORTERS.get(transporter.name) == transporter:
         return transporter.name
-    design = next((name for name, design in DESIGNS.items() if design == transporter.design), None)
+    design = next((name for name in DESIGNS if DESIGNS.get(name) == transporter.design), None)
     if design is None:
         return transporter.name
     values = {field.name: getattr(transporter, field.name) for field in dataclasses.fields(transporter)}

@@ -1,6 +1,6 @@
-"""What moves: the drive law in one home, and two engines under one interface."""
+"""Engines: N simulations of a scene under one contract, and what a task does before every substep."""
 
-from torchrl_atr.envs.physics.engine import DECIMATION, Engine, PhysicalParameters
-from torchrl_atr.envs.physics.law import DriveLaw
+from torchrl_atr.envs.physics.engine import CONTROL_DT, DECIMATION, Engine, ModelFields
+from torchrl_atr.envs.physics.hook import SubstepHook
 
-__all__ = ["DECIMATION", "DriveLaw", "Engine", "PhysicalParameters"]
+__all__ = ["CONTROL_DT", "DECIMATION", "Engine", "ModelFields", "SubstepHook"]

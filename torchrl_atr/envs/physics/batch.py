@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import mujoco.batch
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from torchrl_atr._checks import check_whole
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr.envs.models.scene import STAND, Scene
-from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
-from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.physics.engine import Engine, ModelFields, shared
+from torchrl_atr.envs.physics.hook import SubstepHook
 
 _STATE = mujoco.mjtStage.mjSTAGE_NONE
 _NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
@@ -25,26 +28,43 @@ class BatchEngine(Engine):
     Args:
         scene: the compiled scene.
         num_envs: N.
-        readings: the paper's open points.
+        make_hook: see :class:`Engine`.
         num_threads: physics threads; None for the CPUs this process may use.
 
     Raises:
         ValueError: if ``num_threads`` is below one.
+
+    Example:
+        >>> import torch
+        >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene
+        >>> scene = build_scene(ROBOTS.get("a1"), FlatGround())
+        >>> engine = BatchEngine(scene, num_envs=2)
+        >>> engine.step(torch.tensor([scene.robot.q0] * 2))
+        >>> engine.time.tolist()
+        [0.02, 0.02]
     """
 
-    def __init__(self, scene: Scene, num_envs: int, readings: Readings, num_threads: int | None = None) -> None:
-        super().__init__(scene, num_envs, readings)
-        threads = check_whole("num_threads", num_threads, low=1, optional=True) or available_cpus()
-        self._num_threads = num_threads
-        self.batch = mujoco.batch.Batch(scene.model, num_envs, nthread=threads)
-        bind, expand = self.batch.bind, self.batch.expand
-        self.qpos, self.qvel, self.ctrl = bind("qpos"), bind("qvel"), bind("ctrl")
-        self.qfrc_applied = bind("qfrc_applied")
-        self.time, self.warmstart = bind("time"), bind("qacc_warmstart")
-        self.sensordata, self.actuator_force = bind("sensordata"), bind("actuator_force")
-        self.fields = {name: expand(name) for name in RANDOMIZED_FIELDS}
-        self._stand = scene.model.key(STAND).id
-        self._disabled = expand("opt.disableflags")
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int,
+        make_hook: Callable[[Engine], SubstepHook] | None = None,
+        num_threads: int | None = None,
+    ) -> None:
+        self._num_threads = check_whole("num_threads", num_threads, low=1, optional=True)
+        super().__init__(scene, num_envs, make_hook)
+
+    def _make(self) -> None:
+        model = self.scene.model
+        self.batch = mujoco.batch.Batch(model, self.num_envs, nthread=self._num_threads or available_cpus())
+        bind = self.batch.bind
+        self.qpos, self.qvel, self.ctrl = shared(bind("qpos")), shared(bind("qvel")), shared(bind("ctrl"))
+        self.qfrc_applied = shared(bind("qfrc_applied"))
+        self.time, self.warmstart = shared(bind("time")), shared(bind("qacc_warmstart"))
+        self.sensordata, self.actuator_force = shared(bind("sensordata")), shared(bind("actuator_force"))
+        self.fields = ModelFields(lambda name: shared(self.batch.expand(name)))
+        self._stand = model.key(STAND).id
+        self._disabled = self.batch.expand("opt.disableflags")
 
     def _substep(self, last: bool) -> None:
         self._sense(last)  # sensors are a fourteenth of a step, and nobody reads those of the first ones
@@ -53,7 +73,7 @@ class BatchEngine(Engine):
             self.batch.step(nstep=1)
 
     def _sense(self, wanted: bool) -> None:
-        """Has MuJoCo compute sensors from here on, or not."""
+        """Have MuJoCo compute sensors from here on, or not."""
         if wanted:
             self._disabled &= ~_NO_SENSORS
         else:
@@ -62,15 +82,15 @@ class BatchEngine(Engine):
     def _warnings(self) -> NDArray[np.int64]:
         return self.batch.warning[:, :, 1]
 
-    def _refresh_constants(self, rows: NDArray[np.int64]) -> None:
-        self.batch.set_const(rows)
+    def _refresh_constants(self, rows: Tensor) -> None:
+        self.batch.set_const(rows.numpy())
 
-    def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
+    def _restart(self, rows: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         self._sense(True)  # an interrupt may have left them off
-        self.batch.reset(rows, keyframe=self._stand, stage=_STATE)
+        self.batch.reset(rows.numpy(), keyframe=self._stand, stage=_STATE)
         self.qpos[rows] = qpos
         self.qvel[rows] = qvel
-        self.batch.forward(rows)
+        self.batch.forward(rows.numpy())
 
     def forward(self) -> None:
         """See :class:`Engine`."""
@@ -78,8 +98,9 @@ class BatchEngine(Engine):
         self.batch.forward()
 
     @property
-    def _arguments(self) -> tuple[Scene, int, Readings, int | None]:
-        return self.scene, self.num_envs, self.readings, self._num_threads
+    def _arguments(self) -> tuple[Any, ...]:
+        return self.scene, self.num_envs, self.make_hook, self._num_threads
 
-    def _set_time(self, time: Array) -> None:
-        self.time[...] = time
+    def set_time(self, time: Tensor) -> None:
+        """See :class:`Engine`."""
+        self.time.copy_(time)

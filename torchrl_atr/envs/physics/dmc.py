@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from torchrl_atr._errors import MissingPackageError
 from torchrl_atr.envs.models.floor import floor_period, floor_planes, near_origin
 from torchrl_atr.envs.models.scene import STAND, Scene
-from torchrl_atr.envs.physics.engine import RANDOMIZED_FIELDS, Array, Engine
-from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.physics.engine import Engine, ModelFields
+from torchrl_atr.envs.physics.hook import SubstepHook
 
 try:
     from dm_control.mujoco import Physics
@@ -22,28 +25,26 @@ except ImportError as error:
     raise MissingPackageError("dm_control", "suite") from error
 
 
-class RidingPhysics(Physics):
-    """A dm_control ``Physics`` whose every step obeys the drive law, whoever calls it.
+class EnginePhysics(Physics):
+    """A dm_control ``Physics`` whose every step is an engine's, hook included, whoever calls it.
 
     A simulation that diverges does not raise ``PhysicsError``: MuJoCo resets it, ``engine.diverged`` says so, and the
     task ends the episode. Made by :class:`DmControlEngine`; a ``copy()`` renders but does not step.
 
     Attributes:
-        engine: evaluates the law; set by the engine that owns this physics.
+        engine: owns this physics.
     """
 
     engine: DmControlEngine | None = None
 
     def step(self, nstep: int = 1) -> None:
-        """Advances by ``nstep`` substeps, each of law, planar force and MuJoCo.
+        """Advances by ``nstep`` substeps, each of the engine's hook and MuJoCo.
 
         Raises:
             RuntimeError: if no engine drives this physics.
         """
         if self.engine is None:
-            raise RuntimeError(
-                "this RidingPhysics has no drive law to step with; take the physics of a DmControlEngine"
-            )
+            raise RuntimeError("this EnginePhysics has no engine to step with; take the physics of a DmControlEngine")
         self.engine.advance(nstep)
 
     def after_reset(self) -> None:
@@ -56,41 +57,43 @@ class DmControlEngine(Engine):
 
     Args:
         scene: the compiled scene; the engine randomises a copy of its model.
-        readings: the paper's open points.
+        make_hook: see :class:`Engine`.
 
     Attributes:
         physics: the dm_control physics.
 
     Example:
-        >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
-        >>> scene = build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"))
-        >>> engine = DmControlEngine(scene, Readings())
-        >>> engine.step(np.array([scene.robot.q0]))
+        >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene
+        >>> scene = build_scene(ROBOTS.get("a1"), FlatGround())
+        >>> engine = DmControlEngine(scene)
+        >>> engine.step(torch.tensor([scene.robot.q0]))
         >>> round(float(engine.physics.data.time), 3)
         0.02
     """
 
-    def __init__(self, scene: Scene, readings: Readings) -> None:
-        super().__init__(scene, 1, readings)
-        self.physics: Any = RidingPhysics.from_model(MjModel(copy.copy(scene.model)))
+    def __init__(self, scene: Scene, make_hook: Callable[[Engine], SubstepHook] | None = None) -> None:
+        super().__init__(scene, 1, make_hook)
+        self._restart(torch.arange(1), self.qpos.clone(), self.qvel.clone())
+
+    def _make(self) -> None:
+        model = self.scene.model
+        self.physics: Any = EnginePhysics.from_model(MjModel(copy.copy(model)))
         self.physics.engine = self
         self._model, self._data = self.physics.model.ptr, self.physics.data.ptr
         data = self._data
-        self.qpos, self.qvel, self.ctrl = data.qpos[None], data.qvel[None], data.ctrl[None]
-        self.qfrc_applied = data.qfrc_applied[None]
-        self.warmstart = data.qacc_warmstart[None]
-        self.sensordata, self.actuator_force = data.sensordata[None].copy(), data.actuator_force[None]
-        self.fields = {name: getattr(self._model, name)[None] for name in RANDOMIZED_FIELDS}
-        self._floor, self._period = floor_planes(scene.model), floor_period(scene.model)
-        rows = np.arange(1)
-        stand = scene.model.key(STAND)
+        self.qpos, self.qvel, self.ctrl = _row(data.qpos), _row(data.qvel), _row(data.ctrl)
+        self.qfrc_applied, self.warmstart = _row(data.qfrc_applied), _row(data.qacc_warmstart)
+        self.actuator_force, self.sensordata = _row(data.actuator_force), _row(data.sensordata).clone()
+        self.fields = ModelFields(lambda name: _row(getattr(self._model, name)))
+        self._floor, self._period = floor_planes(model), floor_period(model)
+        stand = model.key(STAND)
         self._stand = stand.id
-        self._restart(rows, stand.qpos[None], stand.qvel[None])
+        self.qpos[0], self.qvel[0] = torch.from_numpy(stand.qpos), torch.from_numpy(stand.qvel)
 
     @property
-    def time(self) -> Array:  # type: ignore[override]  # MuJoCo's scalar has no array to view
+    def time(self) -> Tensor:  # type: ignore[override]  # MuJoCo's scalar has no array to view
         """See :class:`Engine`."""
-        return np.array([self._data.time])
+        return torch.tensor([self._data.time], dtype=torch.float64)
 
     def advance(self, substeps: int) -> None:
         """See :class:`Engine`; leaves position and velocity quantities current, as dm_control does."""
@@ -99,12 +102,15 @@ class DmControlEngine(Engine):
 
     def _substep(self, last: bool) -> None:
         mujoco.mj_step(self._model, self._data)
-        self.sensordata[0] = self._data.sensordata
+        self._read_sensors()
+
+    def _read_sensors(self) -> None:
+        self.sensordata[0] = torch.from_numpy(self._data.sensordata)
 
     def _warnings(self) -> NDArray[np.int64]:
         return self._data.warning.number[None]
 
-    def _refresh_constants(self, rows: NDArray[np.int64]) -> None:
+    def _refresh_constants(self, rows: Tensor) -> None:
         mujoco.mj_setConst(self._model, self._data)
 
     def _recentre(self) -> None:
@@ -112,26 +118,33 @@ class DmControlEngine(Engine):
         self._place_floor()
 
     def _place_floor(self) -> None:
-        """Moves the floor under the board, backwards: whoever renders this physics sees how far it rode."""
+        """Move the floor under the robot, backwards: whoever renders this physics sees how far it went."""
         origin = self.scene.model.geom_pos[self._floor, :2]
         # mj_setConst notes what stands at its body's origin, and MuJoCo then looks at its place no more
         self._model.geom_sameframe[self._floor] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-        self._model.geom_pos[self._floor, :2] = origin - near_origin(self.odometer, self._period)
+        self._model.geom_pos[self._floor, :2] = origin - near_origin(self.world_offset.numpy(), self._period)
 
-    def _restart(self, rows: NDArray[np.int64], qpos: Array, qvel: Array) -> None:
+    def _restart(self, rows: Tensor, qpos: Tensor, qvel: Tensor) -> None:
         mujoco.mj_resetDataKeyframe(self._model, self._data, self._stand)
-        self.qpos[:], self.qvel[:] = qpos, qvel
+        self.qpos.copy_(qpos)
+        self.qvel.copy_(qvel)
         self._place_floor()
         self.forward()
 
     def forward(self) -> None:
         """See :class:`Engine`."""
         mujoco.mj_forward(self._model, self._data)
-        self.sensordata[0] = self._data.sensordata
+        self._read_sensors()
 
     @property
-    def _arguments(self) -> tuple[Scene, Readings]:
-        return self.scene, self.readings
+    def _arguments(self) -> tuple[Any, ...]:
+        return self.scene, self.make_hook
 
-    def _set_time(self, time: Array) -> None:
+    def set_time(self, time: Tensor) -> None:
+        """See :class:`Engine`."""
         self._data.time = float(time[0])
+
+
+def _row(array: NDArray[Any]) -> Tensor:
+    """Return an array of the one simulation with a leading axis, in the same memory."""
+    return torch.from_numpy(array[None])

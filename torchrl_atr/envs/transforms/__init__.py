@@ -1,11 +1,11 @@
-"""Transforms of the riding environment: the command curriculum, the observation history, and their order."""
+"""Transforms of a task's environment: the command curriculum, the observation history, and their order."""
 
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.once import StoredOnce
 from torchrl_atr.envs.transforms.runaway import RunawayTermination
-from torchrl_atr.envs.transforms.stack import riding_transforms
+from torchrl_atr.envs.transforms.stack import task_transforms
 from torchrl_atr.envs.transforms.stagger import StaggeredCounter
 
 __all__ = [
@@ -15,5 +15,5 @@ __all__ = [
     "RunawayTermination",
     "StaggeredCounter",
     "StoredOnce",
-    "riding_transforms",
+    "task_transforms",
 ]

@@ -50,8 +50,8 @@ class CommandCurriculum(OwnGenerator):
         window: Steps that a command lasts (5 s at 50 Hz).
         score_from: Steps at the start of each window that are left out of the score.
         grid: The cells and the update rule.
-        rest_key: If given, an entry of the reset that is zero for rows which start at rest, ``(*B, 2)``: the first
-            window of the others, who were given some of what is asked, is not scored.
+        unscored_key: If given, a bool entry of the reset, ``(*B, 1)``: the first window of rows where it is true is not
+            scored, since they were given some of what is asked.
         command_key: Where the command is read and written, ``(*B, 2)``, m/s and rad/s.
         seed: Seed of the transform's generator.
 
@@ -80,7 +80,7 @@ class CommandCurriculum(OwnGenerator):
         window: int = 250,
         score_from: int = 0,
         grid: CommandGrid | None = None,
-        rest_key: NestedKey | None = None,
+        unscored_key: NestedKey | None = None,
         command_key: NestedKey = "command",
         seed: int | None = None,
     ) -> None:
@@ -90,7 +90,7 @@ class CommandCurriculum(OwnGenerator):
                 raise InputError(f"{name}={values!r}: give a list of numbers, one per score")
         check_keys("tracking_keys", tracking_keys, "a list of keys, one per score")
         check_kind("grid", grid, CommandGrid, "a CommandGrid", optional=True)
-        check_key("rest_key", rest_key, optional=True)
+        check_key("unscored_key", unscored_key, optional=True)
         check_key("command_key", command_key)
         super().__init__(in_keys=list(tracking_keys), out_keys=[command_key])
         if not len(tracking_keys) == len(tracking_max) == len(thresholds) > 0:
@@ -105,7 +105,7 @@ class CommandCurriculum(OwnGenerator):
             raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
         self.grid = CommandGrid() if grid is None else grid
         self.window, self.score_from = window, score_from
-        self.command_key, self.rest_key = unravel_key(command_key), rest_key
+        self.command_key, self.unscored_key = unravel_key(command_key), unscored_key
         self._generator = make_generator(seed)
         required = torch.tensor(thresholds, dtype=torch.float32) * torch.tensor(tracking_max, dtype=torch.float32)
         self.register_buffer("weights", self.grid.initial_weights())
@@ -198,14 +198,13 @@ class CommandCurriculum(OwnGenerator):
 
     @keeps_normal_tensors
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        if self.rest_key is not None:
-            rest = tensordict_reset.get(self.rest_key, None)
-            if rest is None:
-                raise KeyError(
-                    f"rest_key {self.rest_key!r} is not in the reset; {nearest_entry(self.rest_key, tensordict_reset)}"
-                )
-            moving = (rest != 0).reshape(-1, rest.shape[-1]).any(-1)
-            self.rows.cells.masked_fill_(self._started & moving.to(self._started.device), -1)
+        if self.unscored_key is not None:
+            unscored = tensordict_reset.get(self.unscored_key, None)
+            if unscored is None:
+                hint = nearest_entry(self.unscored_key, tensordict_reset)
+                raise KeyError(f"unscored_key {self.unscored_key!r} is not in the reset; {hint}")
+            given = unscored.reshape(-1).to(self._started.device, torch.bool)
+            self.rows.cells.masked_fill_(self._started & given, -1)
         return tensordict_reset.set(self.command_key, self.command)
 
     @keeps_normal_tensors

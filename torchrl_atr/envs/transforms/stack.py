@@ -1,4 +1,4 @@
-"""The standard transforms of the riding environment, in their order."""
+"""The standard transforms of an env with commands, in their order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torchrl_atr.envs.transforms.runaway import RunawayTermination
 from torchrl_atr.envs.transforms.stagger import StaggeredCounter
 
 
-def riding_transforms(
+def task_transforms(
     tracking_max: Sequence[float],
     *,
     history_length: int = 10,
@@ -49,10 +49,10 @@ def riding_transforms(
             ``seed``.
 
     Returns:
-        The transforms, ``[0]`` being the curriculum: ``TransformedEnv(env, riding_transforms(...))``.
+        The transforms, ``[0]`` being the curriculum: ``TransformedEnv(env, task_transforms(...))``.
 
     Example:
-        >>> [type(t).__name__ for t in riding_transforms((0.2, 0.1), seed=0)]
+        >>> [type(t).__name__ for t in task_transforms((0.2, 0.1), seed=0)]
         ['CommandCurriculum', 'CatTensors', 'ObservationHistory', 'StepCounter', 'RewardSum']
     """
     max_steps, stagger = check_whole("max_steps", max_steps, low=1), check_whole("stagger", stagger)

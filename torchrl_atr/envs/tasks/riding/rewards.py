@@ -8,62 +8,58 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
-from torchrl_atr.envs.task.reward_terms import TERMINATION, RewardContext, RewardTerm
-from torchrl_atr.envs.task.state import CONTACT_THRESHOLD, GRAVITY, RidingState
+from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.reward_terms import TERMINATION, RewardTerm
+from torchrl_atr.envs.tasks.riding.state import RidingState
+from torchrl_atr.envs.tasks.state import CONTACT_THRESHOLD, GRAVITY
+from torchrl_atr.envs.tasks.tracking import tracking_kernel
 
-KERNEL_WIDTH = 0.5
-"""Width of the tracking kernels r0 and r1, m/s and rad/s."""
 FORCE_TOLERANCE = 100.0
 """f_tol, N."""
 
 
-def tracking_kernel(error: Tensor) -> Tensor:
-    """exp(-|e| / 0.5): 1 for perfect tracking, any shape (of r0 and r1)."""
-    return torch.exp(-error.abs() / KERNEL_WIDTH)
-
-
-def forward_command(c: RewardContext) -> Tensor:
+def forward_command(c: StepContext) -> Tensor:
     """r0: exp(-|v_P,x - c_v| / 0.5), with v in P_planar (the printed p is read as v, A7)."""
     return tracking_kernel(c.state.speeds[:, 0] - c.command[:, 0])
 
 
-def steering_command(c: RewardContext) -> Tensor:
+def steering_command(c: StepContext) -> Tensor:
     """r1: exp(-|ω_P,z - c_ω| / 0.5)."""
     return tracking_kernel(c.state.speeds[:, 1] - c.command[:, 1])
 
 
-def position_alignment(c: RewardContext) -> Tensor:
+def position_alignment(c: StepContext) -> Tensor:
     """r2: ‖p_B,xy - p_P,xy‖."""
     return (c.state.position - c.state.platform_position)[:, :2].norm(dim=-1)
 
 
-def heading_alignment(c: RewardContext) -> Tensor:
+def heading_alignment(c: StepContext) -> Tensor:
     """r3: |θ_B,z - θ_P,z|."""
     return c.state.relative_yaw[:, 0].abs()
 
 
-def com_stabilization(c: RewardContext) -> Tensor:
+def com_stabilization(c: StepContext) -> Tensor:
     """r4: [CoM outside the foot polygon], of all four feet or of those in contact (A31)."""
     return _outside_feet(c, c.state.com[:, :2])
 
 
-def zmp_stabilization(c: RewardContext) -> Tensor:
+def zmp_stabilization(c: StepContext) -> Tensor:
     """r5: [ZMP outside the foot polygon]."""
     return _outside_feet(c, zero_moment_point(c.state))
 
 
-def contact_maintenance(c: RewardContext) -> Tensor:
+def contact_maintenance(c: StepContext) -> Tensor:
     """r6: (4 - Σ c_i)."""
     return (1.0 - c.state.contacts).sum(-1)
 
 
-def height_maintenance(c: RewardContext) -> Tensor:
+def height_maintenance(c: StepContext) -> Tensor:
     """r7: |(p_B,z - p_P,z) - h_des|; h_des is given above the deck's top, p_P is its centre (A35)."""
-    desired = c.robot.standing_height + c.deck_thickness / 2
+    desired = c.robot.standing_height + c.scene.support.spec.size[2] / 2
     return (c.state.position[:, 2] - c.state.platform_position[:, 2] - desired).abs()
 
 
-def transporter_smoothness(c: RewardContext) -> Tensor:
+def transporter_smoothness(c: StepContext) -> Tensor:
     """r8: ‖v̇_P‖ + ‖α_P‖, by default what the drive gives (Eqs. 1 and 3), else differences of P's velocity (A32).
 
     The text wants abrupt transporter accelerations "slightly" penalised for their inertia effects. P's velocity
@@ -76,57 +72,57 @@ def transporter_smoothness(c: RewardContext) -> Tensor:
     return c.state.platform_acceleration.norm(dim=-1) + c.state.platform_angular_acceleration.norm(dim=-1)
 
 
-def body_orientation(c: RewardContext) -> Tensor:
+def body_orientation(c: StepContext) -> Tensor:
     """r9: ‖θ_B,xy‖."""
     return c.state.euler[:, :2].norm(dim=-1)
 
 
-def body_velocity(c: RewardContext) -> Tensor:
+def body_velocity(c: StepContext) -> Tensor:
     """r10: ‖ω_B,xy‖ + |v_B,z|."""
     return c.state.angular_velocity[:, :2].norm(dim=-1) + c.state.velocity[:, 2].abs()
 
 
-def action_smoothness(c: RewardContext) -> Tensor:
+def action_smoothness(c: StepContext) -> Tensor:
     """r11: ‖a_t - a_{t-1}‖."""
     return (c.action - c.previous_action).norm(dim=-1)
 
 
-def joint_torque(c: RewardContext) -> Tensor:
+def joint_torque(c: StepContext) -> Tensor:
     """r12, its first part: ‖τ‖."""
     return c.state.torque.norm(dim=-1)
 
 
-def joint_velocity(c: RewardContext) -> Tensor:
+def joint_velocity(c: StepContext) -> Tensor:
     """r12, its second part: ‖q̇‖."""
     return c.state.joint_velocity.norm(dim=-1)
 
 
-def joint_acceleration(c: RewardContext) -> Tensor:
+def joint_acceleration(c: StepContext) -> Tensor:
     """r12, its third part: ‖q̈‖."""
     return c.state.joint_acceleration.norm(dim=-1)
 
 
-def postural_deviation(c: RewardContext) -> Tensor:
+def postural_deviation(c: StepContext) -> Tensor:
     """r13: ‖q - q0‖."""
     return (c.state.joint_position - c.action.new_tensor(c.robot.q0)).norm(dim=-1)
 
 
-def energy_efficiency(c: RewardContext) -> Tensor:
+def energy_efficiency(c: StepContext) -> Tensor:
     """r14: Σ max(τ_j q̇_j, 0), both of the same instant."""
     return (c.state.torque * c.state.torque_velocity).clamp_min(0.0).sum(-1)
 
 
-def force_regulation(c: RewardContext) -> Tensor:
+def force_regulation(c: StepContext) -> Tensor:
     """r15: Σ max(‖f_i‖ - f_tol, 0)."""
     return (c.state.foot_load - FORCE_TOLERANCE).clamp_min(0.0).sum(-1)
 
 
-def collision_avoidance(c: RewardContext) -> Tensor:
+def collision_avoidance(c: StepContext) -> Tensor:
     """r16: [something other than a foot touches the deck]."""
     return (c.state.other_force.norm(dim=-1) > CONTACT_THRESHOLD).to(c.action.dtype)
 
 
-def termination(c: RewardContext) -> Tensor:
+def termination(c: StepContext) -> Tensor:
     """r17: [early termination]."""
     return c.terminated.to(c.action.dtype)
 
@@ -135,7 +131,7 @@ _AROUND = torch.tensor([0, 2, 3, 1])
 """FR, FL, RL, RR: counter-clockwise seen from above."""
 
 
-def _outside_feet(c: RewardContext, point: Tensor) -> Tensor:
+def _outside_feet(c: StepContext, point: Tensor) -> Tensor:
     contacts = c.state.contacts > 0 if c.readings.contacting_polygon else None
     return outside_polygon(point, c.state.foot_position[..., :2], contacts)
 

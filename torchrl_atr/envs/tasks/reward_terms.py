@@ -3,48 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from torchrl_atr._checks import check_number
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs.models.robot import RobotSpec
-from torchrl_atr.envs.models.scene import Scene
-from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.task.state import CONTROL_DT, RidingState
+from torchrl_atr.envs.physics.engine import CONTROL_DT
+from torchrl_atr.envs.tasks.context import StepContext
 
 TERMINATION = "termination"
 """Name of the term that scores early terminations: A17 leaves it out of the clip, and failed simulations cost it."""
-TRACKING = ("forward_command", "steering_command")
-"""Names of the terms that the command curriculum's thresholds are shares of: their weights are reached at no error."""
-
-
-@dataclass
-class RewardContext:
-    """The inputs of a reward term.
-
-    Attributes:
-        state: N robots after the step.
-        command: (c_v, c_ω) in force during the step, (N, 2).
-        action: a_t, (N, 12).
-        previous_action: a_{t-1}, (N, 12).
-        terminated: early terminations, (N,) bool.
-        robot: q0 and h_des.
-        deck_thickness: m.
-        readings: the paper's open points.
-    """
-
-    state: RidingState
-    command: Tensor
-    action: Tensor
-    previous_action: Tensor
-    terminated: Tensor
-    robot: RobotSpec
-    deck_thickness: float
-    readings: Readings = field(default_factory=Readings)
 
 
 class RewardError(InputError):
@@ -56,7 +27,8 @@ class RewardTerm:
     """A term of the reward: ``weight`` times what ``function`` returns.
 
     Attributes:
-        function: from a :class:`RewardContext` to an unweighted (N,) tensor, non-negative for penalties.
+        function: from a :class:`~torchrl_atr.envs.tasks.context.StepContext` to an unweighted (N,) tensor, non-negative
+            for penalties.
         weight: signed, so that penalties have negative ones.
         symbol: in the paper, such as ``"r5"``; empty for terms of one's own.
 
@@ -64,13 +36,13 @@ class RewardTerm:
         RewardError: if the weight is no finite number, or the function cannot be called.
 
     Example:
-        >>> from torchrl_atr.envs.task.rewards import RIDING_REWARDS
+        >>> from torchrl_atr.envs.tasks.riding import RIDING_REWARDS
         >>> slow = RewardTerm(lambda context: context.state.speeds[:, 0].abs(), weight=-0.1)
         >>> rewards = {**RIDING_REWARDS, "slow": slow}
         >>> rewards["heading_alignment"] = RIDING_REWARDS["heading_alignment"].weighted(-8.0)
     """
 
-    function: Callable[[RewardContext], Tensor]
+    function: Callable[[StepContext], Tensor]
     weight: float
     symbol: str = ""
 
@@ -82,7 +54,7 @@ class RewardTerm:
         except InputError:
             raise RewardError(f"weight={self.weight!r} of a reward term is no finite number") from None
 
-    def __call__(self, context: RewardContext) -> Tensor:
+    def __call__(self, context: StepContext) -> Tensor:
         """Return the weighted term, (N,)."""
         return self.weight * self.function(context)
 
@@ -96,9 +68,9 @@ class RewardFunction:
 
     Args:
         terms: by name.
-        scene: robot and transporter, for the terms to look at.
-        readings: whether rewards are multiplied by the control period (A16) and clipped (A17).
-        state: of N robots, on which every term is tried.
+        context: of N robots, on which every term is tried; its readings say whether rewards are multiplied by the
+            control period (A16) and clipped (A17).
+        tracking: names of the terms that a command curriculum scores.
 
     Attributes:
         terms: by name.
@@ -108,24 +80,15 @@ class RewardFunction:
         RewardError: names the term that is no :class:`RewardTerm`, fails, or does not return floats of shape (N,).
     """
 
-    def __init__(self, terms: Mapping[str, RewardTerm], scene: Scene, readings: Readings, state: RidingState) -> None:
+    def __init__(self, terms: Mapping[str, RewardTerm], context: StepContext, tracking: Sequence[str] = ()) -> None:
         if not isinstance(terms, Mapping) or not terms:
             raise RewardError(f"rewards={terms!r}; give a mapping of names to RewardTerm, such as RIDING_REWARDS")
-        self.terms, self.scene, self.readings = dict(terms), scene, readings
-        self.scale = CONTROL_DT if readings.rewards_times_dt else 1.0
-        idle = torch.zeros_like(state.joint_position)
-        context = self.context(state, idle[:, :2], idle, idle, torch.zeros(len(idle), dtype=torch.bool))
+        self.terms, self.readings, self._tracking = dict(terms), context.readings, tuple(tracking)
+        self.scale = CONTROL_DT if self.readings.rewards_times_dt else 1.0
         for name, term in self.terms.items():
             _try(name, term, context)
 
-    def context(
-        self, state: RidingState, command: Tensor, action: Tensor, previous_action: Tensor, terminated: Tensor
-    ) -> RewardContext:
-        """Return what the terms look at; see :class:`RewardContext`."""
-        robot, thickness = self.scene.robot, self.scene.transporter.size[2]
-        return RewardContext(state, command, action, previous_action, terminated, robot, thickness, self.readings)
-
-    def __call__(self, context: RewardContext) -> tuple[Tensor, Tensor]:
+    def __call__(self, context: StepContext) -> tuple[Tensor, Tensor]:
         """Compute all terms and their sum.
 
         Returns:
@@ -143,7 +106,7 @@ class RewardFunction:
     @property
     def tracking_max(self) -> dict[str, float]:
         """Scaled values of the tracking terms at no error; 0 for one that was left out."""
-        return {name: self._scaled_weight(name) for name in TRACKING}
+        return {name: self._scaled_weight(name) for name in self._tracking}
 
     @property
     def termination_cost(self) -> float:
@@ -154,7 +117,7 @@ class RewardFunction:
         return self.scale * self.terms[name].weight if name in self.terms else 0.0
 
 
-def _try(name: str, term: RewardTerm, context: RewardContext) -> None:
+def _try(name: str, term: RewardTerm, context: StepContext) -> None:
     if not isinstance(name, str) or not isinstance(term, RewardTerm):
         raise RewardError(f"the reward term {name!r} is {term!r}; give a RewardTerm by its name")
     try:

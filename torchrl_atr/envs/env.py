@@ -1,0 +1,346 @@
+"""``QuadrupedEnv``: N robots at a task as one natively batched TorchRL env."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any, Literal
+
+import mujoco
+import torch
+from tensordict import NestedKey, TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from torchrl_atr._checks import check_kind, check_whole
+from torchrl_atr._errors import InputError
+from torchrl_atr._inference import keeps_normal_tensors
+from torchrl_atr.envs.models import Scene, build_scene
+from torchrl_atr.envs.physics.engine import DECIMATION, Engine
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
+from torchrl_atr.envs.tasks.finite import as_float32, not_finite
+from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
+from torchrl_atr.envs.tasks.mirrors import joints, matrix
+from torchrl_atr.envs.tasks.runner import ACTION_LIMIT, EpisodeRunner
+from torchrl_atr.envs.tasks.task import Task
+from torchrl_atr.envs.tasks.terms import StepOutcome
+
+_LOGGED = 20
+"""Failures that are logged and dumped: the first tell the most, and a disk is finite."""
+_LOG = logging.getLogger(__name__)
+PhysicsEngine = Literal["batch", "dm_control"]
+
+
+class QuadrupedEnv(EnvBase):
+    """Quadrupeds at a task, which is read here once.
+
+    Each robot has its own intrinsic parameters, drawn anew at every reset. The env scores with the command it is given
+    and echoes it; :class:`~torchrl_atr.envs.transforms.CommandCurriculum` usually draws it. Without a command it is
+    zero. Partial resets (``_reset`` mask) touch only the rows they name.
+
+    Args:
+        task: what is observed, rewarded, randomised, reset and ended, such as
+            :func:`~torchrl_atr.envs.tasks.riding` or one of your own.
+        num_envs: N.
+        physics: ``"batch"`` (N robots, all CPUs) or ``"dm_control"`` (one robot, the reference).
+        randomization: ``"train"`` or ``"test"`` range of the intrinsic parameters, or ``"off"``.
+        num_threads: physics threads; None for the CPUs this process may use.
+        failed_episode_replay: share of the failures after which the same robot, with the intrinsics it failed with,
+            tries again (for training).
+        seed: of intrinsics, initial states, disturbances and sensor errors.
+        dump_dir: where the last half second of a simulation that failed is written, for ``torchrl-atr replay``; None
+            for nowhere.
+        compiled: whether ``torch.compile`` makes one function of observations, rewards and terminations. Then making
+            the env and its first step take half a minute (seconds, where torch has the result on disk) and the other
+            steps less; needs a C++ compiler and Python's headers.
+
+    A simulation that diverges, or an observation or reward that is not finite, ends that robot's episode as terminated,
+    with zeros where there was no number, and is counted and logged; the others do not notice.
+
+    Raises:
+        RobotError: for a robot that cannot do the task as it is described.
+        ValueError: for an impossible ``num_envs``, ``physics``, ``randomization``, ``failed_episode_replay`` or
+            ``seed``, for ``compiled`` without a compiler, for a term of the task that cannot be used (named), and for
+            an action or a command that is misshapen or not finite.
+        KeyError: if a step lacks the action.
+
+    Actions are joint displacements in units of the robot's action scale: PD targets q0 + scale · action. Their spec is
+    bounded, ±:data:`~torchrl_atr.envs.tasks.runner.ACTION_LIMIT`, for ``rand_action`` and squashed policies such as
+    ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. It is no clip: larger ones, as a Gaussian policy's may be,
+    are carried out as long as they are finite in float32, up to the joints' control ranges.
+
+    An env can be pickled and copied (``copy.deepcopy``), and goes on from there bit for bit. ``set_seed`` fixes
+    intrinsics, initial states and disturbances, and the commands of a curriculum in front of it.
+
+    Keys, float32 and SI units: ``action`` (N, 12) and ``command`` (N, C) in. Out: the task's groups of observations,
+    for riding ``proprio`` (N, 44), ``speeds`` (N, 2), what answers the command, ``odometry`` (N, 3),
+    ``("privileged", "extrinsic")`` (N, 16) and ``("privileged", "outlook")`` (N, 14); for every task ``command``,
+    ``observation`` (proprio and command), ``("privileged", "intrinsic")``, ``moving_start`` (N, 1), whether the episode
+    began with part of what is asked, ``("reward_terms", name)`` and ``reward`` (N, 1), ``done``, ``terminated``,
+    ``truncated`` (N, 1).
+
+    Example:
+        >>> from torchrl_atr.envs.tasks import riding
+        >>> env = QuadrupedEnv(riding("a1", "single_board"), num_envs=4, seed=0)
+        >>> env.rollout(3)["next", "observation"].shape
+        torch.Size([4, 3, 46])
+    """
+
+    batch_locked = True
+    _has_frame_skip = True  # no attribute of ours may be taken for a frame skip
+
+    @keeps_normal_tensors
+    def __init__(
+        self,
+        task: Task,
+        num_envs: int = 256,
+        physics: PhysicsEngine = "batch",
+        randomization: Randomization = "train",
+        num_threads: int | None = None,
+        failed_episode_replay: float = 0.0,
+        seed: int | None = None,
+        dump_dir: str | Path | None = None,
+        compiled: bool = False,
+    ) -> None:
+        num_envs = check_whole("num_envs", num_envs, low=1)
+        seed = check_whole("seed", seed, high=2**63 - 1, optional=True)
+        check_kind("dump_dir", dump_dir, (str, Path), "the path of a folder", optional=True)
+        check_kind("task", task, Task, "a Task, such as riding('a1', 'single_board')")
+        super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
+        self.task = task
+        self.rng = torch.Generator()
+        if seed is None:
+            self.rng.seed()  # from the operating system: forked workers must not share intrinsics
+        else:
+            self.rng.manual_seed(seed)
+        self.seeding: tuple[int, int] | None = None  # how often set_seed was called, and its last seed: transforms look
+        engine = make_engine(task, physics, num_envs, num_threads)
+        self.runner = EpisodeRunner(task, engine, randomization, self.rng, failed_episode_replay, compiled)
+        self._recorder = None
+        if dump_dir is not None:
+            self._recorder = FlightRecorder(self.runner, describe_scene(task, self.scene), Path(dump_dir))
+        self._emitted = self.runner.observe(self._command(None))
+        self._make_specs()
+
+    @property
+    def engine(self) -> Engine:
+        """The physics: simulation state, hook, place in the world."""
+        return self.runner.engine
+
+    @property
+    def scene(self) -> Scene:
+        """Robot, support and their compiled nominal model."""
+        return self.runner.scene
+
+    @property
+    def readings(self) -> Readings:
+        """The paper's open questions as this env answers them."""
+        return self.task.readings
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled nominal scene; keyframe 0, ``stand``, is the robot standing in q0."""
+        return self.scene.model
+
+    @property
+    def num_diverged(self) -> int:
+        """Robots whose simulation, observations or rewards have failed so far; each ended its own episode."""
+        return self.runner.num_diverged
+
+    @property
+    def speeds(self) -> Tensor | None:
+        """What answers the command now, component by component, (N, C); None if the task observes no ``speeds``."""
+        return self._emitted.get("speeds", None)
+
+    @property
+    def reflections(self) -> dict[NestedKey, Tensor]:
+        """By key the matrix R, (D, D), that makes an entry's mirror image R x; the action's too.
+
+        An episode and its mirror image obey the same physics and earn the same reward, up to the order in which a
+        solver adds numbers: observing, acting and reflecting commute. R is a signed permutation that undoes itself.
+
+        Raises:
+            RobotError, TransporterError: if left and right are no mirror images, in geometry, masses or joints.
+            InputError: names a term without a mirror image, or with one of another size.
+        """
+        observations, command = self.runner.terms.observations, self.task.command
+        mirrored = {key: observations.reflection(key, self.scene) for key in observations.groups}
+        if command.mirror is None:
+            raise InputError(f"the command of task {self.task.name!r} has no mirror image; give it mirror=...")
+        mirrored["command"] = matrix(command.mirror, self.scene)
+        mirrored["observation"] = torch.block_diag(mirrored["proprio"], mirrored["command"])
+        mirrored["privileged", "intrinsic"] = self.runner.intrinsics.reflection
+        return {**mirrored, "action": joints(self.scene)}
+
+    def to(self, device: torch.device | str | int) -> QuadrupedEnv:
+        """Return the env itself, on the CPU.
+
+        Raises:
+            InputError: for another device.
+        """
+        if torch.device(device).type != "cpu":
+            raise InputError(
+                f"QuadrupedEnv simulates on the CPU, not on {device}; give the collector env_device='cpu' and "
+                f"policy_device={str(device)!r}"
+            )
+        return super().to(device)
+
+    def _make_specs(self) -> None:
+        n = self.batch_size[0]
+
+        def flag() -> Binary:
+            return Binary(n=1, shape=(n, 1), dtype=torch.bool)
+
+        def values(size: int) -> Unbounded:
+            return Unbounded((n, size), dtype=torch.float32)
+
+        observation = Composite(shape=(n,))
+        for key, value in self._emitted.items():
+            observation[key] = flag() if value.dtype == torch.bool else values(value.shape[-1])
+        for name in self.runner.terms.rewards.terms:
+            observation["reward_terms", name] = values(1)
+        self.observation_spec = observation
+        self.state_spec = Composite(command=values(len(self.task.command)), shape=(n,))
+        shape = (n, self.runner.joints)
+        self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, shape, dtype=torch.float32)
+        self.reward_spec = values(1)
+        self.full_done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=(n,))
+
+    @keeps_normal_tensors
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is None:
+            return
+        self.rng.manual_seed(check_whole("seed", seed, high=2**63 - 1))
+        self.seeding = (1 if self.seeding is None else self.seeding[0] + 1), int(seed)
+        self.runner.failed = torch.zeros_like(self.runner.failed)  # who failed before the seed does not try again
+
+    @keeps_normal_tensors
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        n = self.batch_size[0]
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        chosen = torch.ones(n, dtype=torch.bool) if mask is None else mask.reshape(n)
+        index = chosen.nonzero().squeeze(-1)
+        if len(index):
+            fresh = self.runner.start_episodes(index, self._command(tensordict)[index])
+            for key, value in fresh.items():
+                self._emitted[key] = self._emitted[key].index_copy(0, index, value)
+        return self._pack(terminated=torch.zeros(n, dtype=torch.bool))
+
+    @keeps_normal_tensors
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        command = self._command(tensordict)
+        action = tensordict.get("action", None)
+        if action is None:
+            raise KeyError("there is no 'action'; run a policy that writes it, or set it, before env.step")
+        self.runner.apply_action(action)
+        if self._recorder is not None:
+            self._recorder.note(action)
+        self.engine.advance(DECIMATION)
+        outcome = self.runner.evaluate_step(command)
+        self._emitted = outcome.observed
+        self._terminate_failed(outcome)
+        return self._pack(outcome.terminated, outcome.terms, reward=outcome.reward)
+
+    def _terminate_failed(self, outcome: StepOutcome) -> None:
+        """End the episodes of robots that failed; where what they observe is no number, it is zero."""
+        failed = dict.fromkeys(self.engine.diverged.nonzero().squeeze(-1).tolist(), "its simulation diverged")
+        if not outcome.finite:
+            terms = {("reward_terms", name): term for name, term in outcome.terms.items()}
+            unnumbered = not_finite({**self._emitted, **terms, "reward": outcome.reward})
+            failed |= {row: f"{name!r} is not finite" for row, name in unnumbered.items()}
+        if not failed:
+            return
+        rows = list(failed)
+        for key, value in self._emitted.items():
+            self._emitted[key] = value.clone()  # some are views of the runner's own
+            self._emitted[key][rows] = value[rows].nan_to_num(0.0, 0.0, 0.0)
+        self.runner.terminate_failed(rows, outcome)
+        for row, reason in failed.items():
+            self.runner.num_diverged += 1
+            if self.runner.num_diverged <= _LOGGED:
+                hint = "" if self._recorder is None else self._recorder.dump(row, reason)
+                _LOG.warning("env id %d: %s, its episode ends%s", row, reason, hint)
+
+    def _command(self, tensordict: TensorDictBase | None) -> Tensor:
+        shape = (*self.batch_size, len(self.task.command))
+        command = None if tensordict is None else tensordict.get("command", None)
+        if command is None:
+            return torch.zeros(shape, dtype=torch.float32)
+        names, units = (", ".join(each) for each in (self.task.command.names, self.task.command.units))
+        return as_float32("command", command, shape, f"({names})", f"give {units}")
+
+    def _pack(self, terminated: Tensor, terms: dict[str, Tensor] | None = None, **more: Tensor) -> TensorDict:
+        """Return what was observed last, with reward terms (None for zero), flags and ``more``."""
+        terminated, names = terminated.unsqueeze(-1), self.runner.terms.rewards.terms
+        terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape, dtype=torch.float32).unbind()))
+        flags = {
+            "terminated": terminated,
+            "truncated": torch.zeros_like(terminated),
+            "done": terminated.clone(),
+        }
+        entries = {**_nested(self._emitted), "reward_terms": terms, **flags, **more}
+        # not looked through entry by entry, a tenth of a millisecond a step: shapes and device are the env's own
+        return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
+
+    def get_state(self) -> TensorDict:
+        """Return everything :meth:`set_state` needs to continue from here bit for bit, on either engine.
+
+        Disturbances and new episodes draw from ``rng``, whose state is not part of it: ``rng.get_state()``.
+        """
+        state = {**self.runner.get_state(), "emitted": _nested(self._emitted)}
+        return TensorDict(state, batch_size=self.batch_size).clone()
+
+    @keeps_normal_tensors
+    def set_state(self, state: TensorDictBase) -> None:
+        """Restore a state of :meth:`get_state`: intrinsic parameters, simulation state and bookkeeping.
+
+        Without ``emitted``, the last observations, a state of one's own making is observed anew: under the ``command``
+        (N, 2) that it may hold, with accelerations of zero.
+
+        Raises:
+            KeyError: if an entry is missing.
+            ValueError: if the number of robots or an entry's shape does not fit this env, or a number is not finite.
+        """
+        if state.batch_size != self.batch_size:
+            raise InputError(f"the state is of {tuple(state.batch_size)} robots; this env has {tuple(self.batch_size)}")
+        if bad := not_finite({key: value for key, value in state.items(True, True) if value.ndim == 2}):
+            row, name = next(iter(bad.items()))
+            raise InputError(f"state entry {name!r} is not finite for env id {row}; give a state of get_state()")
+        self.runner.set_state(dict(state.exclude("emitted").items()))
+        emitted = state.get("emitted", None)
+        if emitted is None:
+            self._emitted = self.runner.observe(self._command(state))
+        else:
+            self._emitted = {key: emitted[key].to(value.dtype, copy=True) for key, value in self._emitted.items()}
+
+
+def _nested(values: dict[Any, Tensor]) -> dict[str, Any]:
+    """Return nested keys as nested dictionaries."""
+    nested: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(key, tuple):
+            nested.setdefault(key[0], {})[key[1]] = value
+        else:
+            nested[key] = value
+    return nested
+
+
+def make_engine(task: Task, physics: str, num_envs: int, num_threads: int | None) -> Engine:
+    """Return the engine of a task.
+
+    Raises:
+        InputError: for unknown ``physics``, or more than one robot for ``"dm_control"``.
+    """
+    if physics == "batch":
+        from torchrl_atr.envs.physics.batch import BatchEngine
+
+        return BatchEngine(build_scene(task.robot, task.support), num_envs, task.hook, num_threads)
+    if physics == "dm_control":
+        if num_envs != 1:
+            raise InputError(f"physics='dm_control' simulates one robot; num_envs={num_envs} needs physics='batch'")
+        from torchrl_atr.envs.physics.dmc import DmControlEngine  # slow to import: never on the training path
+
+        return DmControlEngine(build_scene(task.robot, task.support), task.hook)
+    raise InputError(f"unknown physics {physics!r}; choose 'batch' or 'dm_control'")

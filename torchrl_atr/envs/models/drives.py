@@ -1,0 +1,47 @@
+"""How tilt drives a transporter: the propulsion of Eqs. 1, 3 and 7, and what a design of one's own may put instead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.profiles import Readings
+
+if TYPE_CHECKING:
+    from torchrl_atr.envs.models.transporter import TransporterSpec
+
+Drive = Callable[[Tensor, Tensor, "TransporterSpec", Readings], Tensor]
+"""From tilt (N, 2), speeds (N, 2), transporter and readings to propulsion (N, 2), float64; see :func:`tilt_drive`."""
+
+
+def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readings: Readings) -> Tensor:
+    """Compute the propulsion of Eqs. 1 and 3 (or 7 and 8) before resistance, for a transporter of unit relative mass.
+
+    Args:
+        tilt: forward tilt θ_y (or θ_avg) and steering tilt θ_x (or θ_dif), rad, (N, 2).
+        speeds: v_f, m/s, and ω_z, rad/s, (N, 2); not read here.
+        transporter: its drive limits.
+        readings: ``steering_smoothing`` (A11).
+
+    Returns:
+        Forward drive v̇max clip(θ_y/θnp), m/s², and yaw drive αmax sgn(θ_y) clip(-θ_x/θnp), rad/s², with sgn(0) = 1 as
+        the paper says, (N, 2).
+
+    Example:
+        >>> from torchrl_atr.envs.models import TRANSPORTERS
+        >>> board = TRANSPORTERS.get("single_board_g1")
+        >>> tilt = torch.tensor([[0.39, 0.0]], dtype=torch.float64)
+        >>> tilt_drive(tilt, torch.zeros_like(tilt), board, Readings())[0, 0].item()
+        6.0
+    """
+    smoothing = readings.steering_smoothing
+    forward = tilt[..., 0]
+    jump = torch.copysign(torch.ones_like(forward), forward + 0.0)  # sgn(-0) = 1, too
+    sign = torch.tanh(forward / smoothing) if smoothing else jump
+    pushes = (tilt / transporter.tilt_norm).clamp_(-1.0, 1.0)
+    pushes[..., 0] *= transporter.max_acceleration
+    pushes[..., 1] *= -transporter.max_yaw_acceleration * sign
+    return pushes

@@ -1,1 +1,0 @@
-"""What is asked: state, observations, rewards, terminations, randomisation, disturbances."""

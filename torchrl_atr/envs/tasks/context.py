@@ -1,0 +1,45 @@
+"""What the terms of a task look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from torch import Tensor
+
+from torchrl_atr.envs.models.robot import RobotSpec
+from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.profiles import Readings
+
+
+@dataclass
+class StepContext:
+    """A control step of N robots: the input of reward, observation, termination and memory terms.
+
+    At the start of an episode the actions are zero and nobody has terminated.
+
+    Attributes:
+        state: after the step, a :class:`~torchrl_atr.envs.tasks.state.QuadrupedState` or the task's own subclass of it.
+        command: in force during the step, (N, C).
+        action: a_t, (N, 12).
+        previous_action: a_{t-1}, (N, 12).
+        terminated: early terminations, (N,) bool.
+        scene: robot, support and their compiled nominal model.
+        readings: the paper's open questions.
+        memory: what is carried from step to step, by name, (N, size) each; memory terms see the step before.
+    """
+
+    state: Any
+    command: Tensor
+    action: Tensor
+    previous_action: Tensor
+    terminated: Tensor
+    scene: Scene
+    readings: Readings = field(default_factory=Readings)
+    memory: Mapping[str, Tensor] = field(default_factory=dict)
+
+    @property
+    def robot(self) -> RobotSpec:
+        """The robot's spec."""
+        return self.scene.robot

@@ -1,0 +1,182 @@
+"""Intrinsic parameters as data: what is drawn for every robot, and how it reaches the compiled model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from torchrl_atr._checks import check_choice
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.physics.engine import ModelFields
+from torchrl_atr.envs.tasks import mirrors
+from torchrl_atr.envs.tasks.mirrors import Mirror
+
+Randomization = Literal["train", "test", "off"]
+RANDOMIZATIONS: tuple[Randomization, ...] = ("train", "test", "off")
+Apply = Callable[[ModelFields, Tensor, Tensor, Scene], None]
+"""Writes a parameter's values (n, size) into the model fields of rows (n,); see :class:`IntrinsicParameter`."""
+
+
+class IntrinsicError(InputError):
+    """An intrinsic parameter that cannot be used; the message names it."""
+
+
+@dataclass(frozen=True)
+class IntrinsicParameter:
+    """A parameter of robot or support that is drawn for every episode and that the policy does not see.
+
+    Attributes:
+        apply: ``apply(fields, rows, value, scene)`` writes the values (n, size), float64, into the fields of the
+            simulations ``rows`` (n,), in which it finds the nominal model's.
+        train: training range, of every component.
+        test: testing range; the training range by default.
+        nominal: the value without randomisation; the middle of the training range by default.
+        size: number of components; ``"joints"`` for one per leg joint.
+        mirror: its mirror image, which symmetric networks need; see
+            :class:`~torchrl_atr.envs.tasks.observation_terms.ObservationTerm`. Unchanged by default.
+
+    Raises:
+        IntrinsicError: if ``apply`` cannot be called or a range is none.
+
+    Example:
+        >>> def friction_loss(fields, rows, value, scene):
+        ...     fields["dof_frictionloss"][rows[:, None], scene.layout.joint_dof] = value
+        >>> parameter = IntrinsicParameter(friction_loss, train=(0.0, 0.4), size="joints", mirror=mirrors.joint_gains)
+        >>> parameter.nominal
+        0.2
+    """
+
+    apply: Apply
+    train: tuple[float, float]
+    test: tuple[float, float] = ()  # type: ignore[assignment]
+    nominal: float = None  # type: ignore[assignment]
+    size: int | Literal["joints"] = 1
+    mirror: Mirror | None = None
+
+    def __post_init__(self) -> None:
+        if not callable(self.apply):
+            raise IntrinsicError(f"apply={self.apply!r} of an intrinsic parameter cannot be called; give a function")
+        object.__setattr__(self, "test", self.test or self.train)
+        for name in ("train", "test"):
+            ends = tuple(getattr(self, name))
+            if len(ends) != 2 or not -float("inf") < ends[0] < ends[1] < float("inf"):
+                raise IntrinsicError(f"{name}={ends} of an intrinsic parameter is no range; give two finite numbers")
+        if self.size != "joints" and (not isinstance(self.size, int) or self.size < 1):
+            raise IntrinsicError(f"size={self.size!r} of an intrinsic parameter; give a whole number or 'joints'")
+        if self.nominal is None:
+            object.__setattr__(self, "nominal", sum(self.train) / 2)
+
+    def scaled(self, value: float) -> float:
+        """Map the training range to [-1, 1]."""
+        low, high = self.train
+        return (2.0 * value - low - high) / (high - low)
+
+
+class Intrinsics:
+    """The intrinsic parameters of an env: x_int.
+
+    Args:
+        parameters: by name.
+        scene: robot and support.
+
+    Attributes:
+        slices: where each parameter stands in x_int.
+        size: of x_int.
+
+    Raises:
+        IntrinsicError: names what is no :class:`IntrinsicParameter`, or one whose mirror image has another size.
+
+    Example:
+        >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene
+        >>> from torchrl_atr.envs.tasks.parameters import payload
+        >>> scene = build_scene(ROBOTS.get("a1"), FlatGround())
+        >>> intrinsics = Intrinsics({"payload": IntrinsicParameter(payload, (0.0, 1.0), nominal=0.0)}, scene)
+        >>> intrinsics.sample(2, "off", torch.Generator()).tolist()
+        [[-1.0], [-1.0]]
+    """
+
+    def __init__(self, parameters: Mapping[str, IntrinsicParameter], scene: Scene) -> None:
+        self.parameters, self.scene, self.slices = dict(parameters), scene, {}
+        self.size = 0
+        for name, parameter in self.parameters.items():
+            if not isinstance(parameter, IntrinsicParameter):
+                raise IntrinsicError(f"the intrinsic parameter {name!r} is {parameter!r}; give an IntrinsicParameter")
+            size = len(scene.robot.joints) if parameter.size == "joints" else int(parameter.size)
+            self.slices[name] = slice(self.size, self.size + size)
+            self.size += size
+            if parameter.mirror is not None and not callable(parameter.mirror):
+                self._mirror(name)
+        sizes = torch.tensor([part.stop - part.start for part in self.slices.values()])
+        ranges = torch.tensor([p.train for p in self.parameters.values()], dtype=torch.float64).reshape(-1, 2)
+        self._train = ranges.repeat_interleave(sizes, 0).T  # (2, size)
+        self._scaled = {kind: self._ends(kind, sizes) for kind in RANDOMIZATIONS}
+
+    def _ends(self, randomization: Randomization, sizes: Tensor) -> Tensor:
+        """Return the scaled ends of a range, (2, size) float32."""
+        ends = [
+            (p.nominal,) * 2 if randomization == "off" else getattr(p, randomization) for p in self.parameters.values()
+        ]
+        scaled = [[p.scaled(end) for end in pair] for p, pair in zip(self.parameters.values(), ends)]
+        return torch.tensor(scaled, dtype=torch.float32).reshape(-1, 2).repeat_interleave(sizes, 0).T
+
+    def sample(self, n: int, randomization: Randomization, generator: torch.Generator) -> Tensor:
+        """Draw x_int for n robots.
+
+        Args:
+            n: how many.
+            randomization: ``"train"`` or ``"test"`` range, or ``"off"`` for the nominal values.
+            generator: source of randomness.
+
+        Returns:
+            (n, size) float32, each component scaled so that its training range is [-1, 1].
+
+        Raises:
+            ValueError: for another ``randomization``.
+        """
+        check_choice("randomization", randomization, RANDOMIZATIONS)
+        low, high = self._scaled[randomization]
+        return low + (high - low) * torch.rand(n, self.size, generator=generator, dtype=torch.float32)
+
+    def values(self, x_int: Tensor) -> dict[str, Tensor]:
+        """Return the values by name, (n, size of each) float64: the inverse of the scaling.
+
+        Args:
+            x_int: (n, size).
+        """
+        low, high = self._train
+        values = low + (x_int.double() + 1.0) * (high - low) / 2.0
+        return {name: values[:, part] for name, part in self.slices.items()}
+
+    def apply(self, fields: ModelFields, rows: Tensor, x_int: Tensor) -> None:
+        """Write x_int (n, size) into the fields of ``rows`` (n,), which hold the nominal model's.
+
+        Raises:
+            IntrinsicError: names the parameter whose ``apply`` failed.
+        """
+        for name, value in self.values(x_int).items():
+            try:
+                self.parameters[name].apply(fields, rows, value, self.scene)
+            except Exception as error:  # of the user's function
+                reason = f"{type(error).__name__}: {error}"
+                raise IntrinsicError(f"the intrinsic parameter {name!r} could not be applied: {reason}") from error
+
+    @property
+    def reflection(self) -> Tensor:
+        """The mirror image R of x_int, (size, size)."""
+        return torch.block_diag(*(self._mirror(name) for name in self.parameters))
+
+    def _mirror(self, name: str) -> Tensor:
+        part, mirror = self.slices[name], self.parameters[name].mirror
+        size = part.stop - part.start
+        matrix = torch.eye(size, dtype=torch.float32) if mirror is None else mirrors.matrix(mirror, self.scene)
+        if tuple(matrix.shape) != (size, size):
+            raise IntrinsicError(
+                f"the mirror image of the intrinsic parameter {name!r} is of {tuple(matrix.shape)}; the parameter has "
+                f"{size} components"
+            )
+        return matrix

@@ -1,0 +1,76 @@
+"""Memory terms as data: quantities of every robot that are carried from one control step to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs.tasks.context import StepContext
+
+
+class MemoryTermError(InputError):
+    """A memory term that cannot be used; the message names it."""
+
+
+@dataclass(frozen=True)
+class MemoryTerm:
+    """A quantity that is carried from step to step, such as a clock or the time that a foot has been in the air.
+
+    It is updated before observations and rewards, which see the new value.
+
+    Attributes:
+        size: number of components D.
+        update: from a :class:`~torchrl_atr.envs.tasks.context.StepContext`, whose memory is that of the step before, to
+            the new value, (N, D) float32.
+        start: the same at the start of an episode; zero by default.
+
+    Example:
+        >>> clock = MemoryTerm(1, lambda c: (c.memory["clock"] + 0.02 * 2.0) % 1.0)
+    """
+
+    size: int
+    update: Callable[[StepContext], Tensor]
+    start: Callable[[StepContext], Tensor] | None = None
+
+
+def started(terms: Mapping[str, MemoryTerm], context: StepContext) -> dict[str, Tensor]:
+    """Return the memory of episodes that start, (n, D) by name.
+
+    Raises:
+        MemoryTermError: names the term that is none, or whose value has another shape.
+    """
+    n, memory = len(context.command), {}
+    for name, term in terms.items():
+        zero = torch.zeros(n, term.size, dtype=torch.float32)
+        memory[name] = zero if term.start is None else term.start(context)
+    return memory
+
+
+def updated(terms: Mapping[str, MemoryTerm], context: StepContext) -> dict[str, Tensor]:
+    """Return the memory after a step, (N, D) by name; ``context`` holds that of the step before."""
+    return {name: term.update(context) for name, term in terms.items()}
+
+
+def check(terms: Mapping[str, MemoryTerm], context: StepContext) -> None:
+    """Try every term on N robots.
+
+    Raises:
+        MemoryTermError: names the term that is no :class:`MemoryTerm`, fails, or returns another shape.
+    """
+    for name, term in terms.items():
+        if not isinstance(term, MemoryTerm):
+            raise MemoryTermError(f"the memory term {name!r} is {term!r}; give a MemoryTerm")
+    begun = started(terms, context)
+    context.memory = begun
+    for values in (begun, updated(terms, context)):
+        for name, value in values.items():
+            needed = (len(context.command), terms[name].size)
+            shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+            if shape != needed or value.dtype != torch.float32:
+                raise MemoryTermError(
+                    f"the memory term {name!r} returned {shape}; it must return float32 of shape {needed}"
+                )

@@ -1,0 +1,171 @@
+"""Observation terms as data, and the groups that make up what is observed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from tensordict import NestedKey
+from torch import Tensor
+
+from torchrl_atr._checks import check_number
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.tasks import mirrors
+from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.mirrors import Mirror
+
+
+class ObservationError(InputError):
+    """An observation term that cannot be used; the message names it."""
+
+
+@dataclass(frozen=True)
+class ObservationTerm:
+    """A component of what is observed.
+
+    Attributes:
+        function: from a :class:`~torchrl_atr.envs.tasks.context.StepContext` to (N, D) floats, raw SI units.
+        mirror: its mirror image, which symmetric networks need: D signs, or a function of the scene that returns a
+            matrix (D, D), such as :func:`~torchrl_atr.envs.tasks.mirrors.joints`; None if there is none.
+        label: what tables call it; its key by default.
+        parts: what tables call its components, such as ``"xyz"``.
+        unit: of all of them.
+        noise: standard deviation of white noise that is added at every step, in its unit.
+        bias: standard deviation of an error that is drawn for every episode and stays, in its unit.
+        delay: share of the episodes in which the value is that of the control step before, in [0, 1].
+
+    Raises:
+        ObservationError: if the function cannot be called, or a number is out of range.
+
+    Example:
+        >>> height = ObservationTerm(lambda context: context.state.position[:, 2:], mirror=(1.0,), unit="m", noise=0.01)
+    """
+
+    function: Callable[[StepContext], Tensor]
+    mirror: Mirror | None = None
+    label: str = ""
+    parts: Sequence[str] = ()
+    unit: str = ""
+    noise: float = 0.0
+    bias: float = 0.0
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise ObservationError(
+                f"function={self.function!r} of an observation term cannot be called; give a function"
+            )
+        try:
+            for name in ("noise", "bias"):
+                check_number(name, getattr(self, name), 0.0)
+            check_number("delay", self.delay, 0.0, 1.0)
+        except InputError as error:
+            raise ObservationError(f"{error} (of an observation term)") from None
+
+    @property
+    def sensed(self) -> bool:
+        """Whether it is observed with an error."""
+        return bool(self.noise or self.bias or self.delay)
+
+
+Group = Mapping[str, ObservationTerm]
+"""Terms by name, which are concatenated in their order."""
+
+
+class Observations:
+    """The groups of an env, tried once, and what they come to.
+
+    Args:
+        groups: by key, the terms by name.
+        context: of N robots, on which every term is tried.
+
+    Attributes:
+        groups: as given.
+        sizes: components of every term, by key and name.
+
+    Raises:
+        ObservationError: names the term that is no :class:`ObservationTerm`, fails, does not return floats of shape
+            (N, D), or whose mirror image has another size.
+    """
+
+    def __init__(self, groups: Mapping[NestedKey, Group], context: StepContext) -> None:
+        self.groups = {key: dict(group) for key, group in groups.items()}
+        self.sizes = {
+            key: {name: _try(key, name, term, context) for name, term in group.items()}
+            for key, group in self.groups.items()
+        }
+
+    def __call__(self, context: StepContext) -> dict[NestedKey, Tensor]:
+        """Compute all groups without errors, (N, size) each."""
+        return {
+            key: torch.cat([term.function(context) for term in group.values()], -1)
+            for key, group in self.groups.items()
+        }
+
+    def labels(self, key: NestedKey) -> list[tuple[str, str]]:
+        """Return what tables call each component of a group, and its unit."""
+        labels = []
+        for name, size in self.sizes[key].items():
+            term = self.groups[key][name]
+            title = term.label or name.replace("_", " ")
+            for i in range(size):
+                part = term.parts[i] if i < len(term.parts) else (str(i) if size > 1 else "")
+                labels.append((f"{title} {part}".rstrip(), term.unit))
+        return labels
+
+    def names(self, key: NestedKey) -> list[str]:
+        """Return a name for each component of a group, such as ``contacts[0]``."""
+        return [f"{name}[{i}]" for name, size in self.sizes[key].items() for i in range(size)]
+
+    def reflection(self, key: NestedKey, scene: Scene) -> Tensor:
+        """Return the mirror image R of a group, (D, D).
+
+        Raises:
+            ObservationError: names a term that has none, or one of another size.
+            RobotError: if the robot is not symmetric.
+        """
+        parts = []
+        for name, term in self.groups[key].items():
+            if term.mirror is None:
+                raise ObservationError(
+                    f"the observation term {_place(key, name)} has no mirror image; give it mirror=..., or train with "
+                    "symmetric=false"
+                )
+            parts.append(_checked(key, name, mirrors.matrix(term.mirror, scene), self.sizes[key][name]))
+        return torch.block_diag(*parts)
+
+
+def _place(key: NestedKey, name: str) -> str:
+    return f"{name!r} of {key!r}"
+
+
+def _checked(key: NestedKey, name: str, matrix: Tensor, size: int) -> Tensor:
+    if tuple(matrix.shape) != (size, size):
+        raise ObservationError(
+            f"the mirror image of the observation term {_place(key, name)} is of {tuple(matrix.shape)}; the term has "
+            f"{size} components"
+        )
+    return matrix
+
+
+def _try(key: NestedKey, name: str, term: ObservationTerm, context: StepContext) -> int:
+    if not isinstance(name, str) or not isinstance(term, ObservationTerm):
+        raise ObservationError(f"the observation term {_place(key, name)} is {term!r}; give an ObservationTerm")
+    try:
+        value = term.function(context)
+    except Exception as error:  # of the user's function
+        reason = f"{type(error).__name__}: {error}"
+        raise ObservationError(f"the observation term {_place(key, name)} failed: {reason}") from error
+    n = len(context.command)
+    shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+    if not isinstance(value, Tensor) or value.ndim != 2 or len(value) != n or value.dtype != torch.float32:
+        dtype = f" of {value.dtype}" if isinstance(value, Tensor) else ""
+        raise ObservationError(
+            f"the observation term {_place(key, name)} returned {shape}{dtype}; it must be float32 of ({n}, D)"
+        )
+    size = value.shape[-1]
+    if term.mirror is not None and not callable(term.mirror):
+        _checked(key, name, torch.diag(torch.as_tensor(term.mirror, dtype=torch.float32)), size)
+    return size

@@ -1,0 +1,98 @@
+"""What any of the robots senses: o_m = [v̇_B, ω_B, θ_xy, q, q̇] and the last action, and its contacts and velocity."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.models.robot import LEGS
+from torchrl_atr.envs.physics.engine import CONTROL_DT
+from torchrl_atr.envs.tasks import mirrors
+from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.memory_terms import MemoryTerm
+from torchrl_atr.envs.tasks.observation_terms import Group, ObservationTerm
+from torchrl_atr.envs.tasks.rotations import rotate_about, rotate_back
+from torchrl_atr.envs.tasks.state import GRAVITY
+
+LEG_NAMES = LEGS
+"""What tables call the components of a term of one number a leg."""
+
+
+def body_acceleration(c: StepContext) -> Tensor:
+    """v̇_B in the body frame, m/s², (N, 3); with gravity's reaction if the profile asks for an IMU (A18)."""
+    if c.readings.gravity_in_acceleration:
+        return c.state.body_acceleration + GRAVITY * c.state.rotation[:, 2]
+    return c.state.body_acceleration
+
+
+def angular_velocity(c: StepContext) -> Tensor:
+    """ω_B in the body frame, rad/s, (N, 3)."""
+    return c.state.angular_velocity
+
+
+def orientation(c: StepContext) -> Tensor:
+    """Roll and pitch θ_xy of the body, rad, (N, 2)."""
+    return c.state.euler[:, :2]
+
+
+def joint_position(c: StepContext) -> Tensor:
+    """q, rad, (N, 12)."""
+    return c.state.joint_position
+
+
+def joint_velocity(c: StepContext) -> Tensor:
+    """q̇, rad/s, (N, 12)."""
+    return c.state.joint_velocity
+
+
+def last_action(c: StepContext) -> Tensor:
+    """The action that led here (a_{t-1} of the next step), as the policy gave it, (N, 12)."""
+    return c.action
+
+
+def contacts(c: StepContext) -> Tensor:
+    """Contact indicators c_i of the feet, (N, 4)."""
+    return c.state.contacts
+
+
+def body_velocity(c: StepContext) -> Tensor:
+    """v_B in the body frame, m/s, (N, 3)."""
+    return rotate_back(c.state.rotation, c.state.velocity)
+
+
+PROPRIO: Group = {
+    "acceleration": ObservationTerm(body_acceleration, mirrors.POLAR, parts="xyz", unit="m/s²"),
+    "angular_velocity": ObservationTerm(angular_velocity, mirrors.AXIAL, parts="xyz", unit="rad/s"),
+    "orientation": ObservationTerm(orientation, mirrors.AXIAL[:2], parts=("roll", "pitch"), unit="rad"),
+    "joint_position": ObservationTerm(joint_position, mirrors.joints, unit="rad"),
+    "joint_velocity": ObservationTerm(joint_velocity, mirrors.joints, unit="rad/s"),
+    "action": ObservationTerm(last_action, mirrors.joints, unit="1"),
+}
+"""o_t without the command, (N, 44): o_m and a_{t-1} by component."""
+
+
+def dead_reckoning(c: StepContext) -> Tensor:
+    """Compute the body velocity from what an IMU measures: turned back by ω_B dt, plus v̇_B dt.
+
+    A history of 0.2 s sees a transporter's speed only through the resistance, 0.06 m/s² for each m/s; from a known
+    start the integral of the acceleration knows it. It drifts with the bias of a real accelerometer.
+
+    Args:
+        c: its memory ``odometry`` is the velocity before the step, body frame, m/s, (N, 3).
+
+    Returns:
+        (N, 3), body frame, m/s.
+    """
+    turned = rotate_about(c.memory["odometry"], -CONTROL_DT * c.state.angular_velocity)
+    return turned + CONTROL_DT * c.state.body_acceleration
+
+
+ODOMETRY = MemoryTerm(3, dead_reckoning, start=body_velocity)
+"""Body velocity by dead reckoning since the start of the episode; one that starts moving knows its first velocity."""
+
+
+def heading_frame(euler: Tensor, vector: Tensor) -> Tensor:
+    """Return a horizontal vector (N, 2) of the world in the frame that turns with the yaw of ``euler`` (N, 3)."""
+    cosine, sine = torch.cos(euler[:, 2]), torch.sin(euler[:, 2])
+    x, y = vector[:, 0], vector[:, 1]
+    return torch.stack([cosine * x + sine * y, cosine * y - sine * x], -1)

@@ -1,0 +1,91 @@
+"""Riding: a quadruped on a tilt-driven transporter follows forward-speed and yaw-rate commands (the paper's task)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from torchrl_atr._checks import check_flag, check_number
+from torchrl_atr.envs.models import RobotSpec, Transporter, TransporterSpec, get_robot, get_transporter
+from torchrl_atr.envs.models.robot_file import describe_robot
+from torchrl_atr.envs.models.transporter import describe_transporter
+from torchrl_atr.envs.profiles import Readings, get_readings
+from torchrl_atr.envs.tasks import mirrors
+from torchrl_atr.envs.tasks.events import PUSH_INTERVAL, Disturbance
+from torchrl_atr.envs.tasks.proprioception import ODOMETRY
+from torchrl_atr.envs.tasks.reward_terms import RewardTerm
+from torchrl_atr.envs.tasks.riding.drive_law import DriveHook
+from torchrl_atr.envs.tasks.riding.intrinsics import riding_intrinsics
+from torchrl_atr.envs.tasks.riding.observations import observations
+from torchrl_atr.envs.tasks.riding.resets import TERMINATIONS, push, start
+from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS
+from torchrl_atr.envs.tasks.riding.state import RidingStateReader
+from torchrl_atr.envs.tasks.task import CommandSpace, Task
+
+__all__ = ["RIDING_REWARDS", "TERMINATIONS", "riding"]
+
+COMMANDS = CommandSpace(
+    names=("speed", "yaw_rate"),
+    units=("m/s", "rad/s"),
+    bounds=(15.0, 2.0),
+    initial=(0.5, 0.3),
+    mirror=mirrors.FORWARD_YAW,
+)
+"""(c_v, c_ω), the box that they are drawn from, and the one that the curriculum starts with."""
+
+
+def riding(
+    robot: str | Path | RobotSpec = "a1",
+    transporter: str | Path | TransporterSpec = "single_board",
+    *,
+    profile: str | Readings = "default",
+    pushes: bool = True,
+    moving_start: float = 0.0,
+    rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
+    reward_schedule: Mapping[str, Callable[[float], float]] | None = None,
+) -> Task:
+    """Return the riding task.
+
+    Args:
+        robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
+        transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, path of a
+            ``.toml`` file that describes one, or a spec.
+        profile: name of a profile, or :class:`~torchrl_atr.envs.profiles.Readings`.
+        pushes: whether robot and platform are pushed every 3 s.
+        moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
+        rewards: the terms of the reward by name.
+        reward_schedule: see :class:`~torchrl_atr.envs.tasks.task.Task`.
+
+    Raises:
+        UnknownNameError: for an unknown robot, transporter or profile.
+        ValueError: for an impossible ``moving_start``.
+
+    Example:
+        >>> task = riding("go1", "two_board")
+        >>> task.name, task.rewards["heading_alignment"].weight
+        ('riding', -4.0)
+    """
+    check_flag("pushes", pushes)
+    moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
+    readings = get_readings(profile)
+    rider = get_robot(robot)
+    spec = get_transporter(transporter, rider)
+    return Task(
+        name="riding",
+        robot=rider,
+        support=Transporter(spec, readings),
+        command=COMMANDS,
+        observations=observations(readings),
+        rewards=rewards,
+        intrinsics=riding_intrinsics(rider, spec, readings),
+        terminations=TERMINATIONS,
+        reset=start(moving_start),
+        disturbances={"push": Disturbance(push, PUSH_INTERVAL)} if pushes else {},
+        memory={"odometry": ODOMETRY},
+        tracking=("forward_command", "steering_command"),
+        state_reader=RidingStateReader,
+        hook=DriveHook,
+        readings=readings,
+        reward_schedule=reward_schedule or {},
+        arguments={"robot": describe_robot(robot), "transporter": describe_transporter(spec)},
+    )

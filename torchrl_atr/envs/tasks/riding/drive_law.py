@@ -1,0 +1,179 @@
+"""The drive law: how the boards' tilt drives a transporter (Eqs. 1-3 and 7-10), before every substep."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.models.boards import TransporterLayout
+from torchrl_atr.envs.models.scene import TIMESTEP, columns
+from torchrl_atr.envs.models.transporter import TransporterSpec
+from torchrl_atr.envs.physics.engine import Engine
+from torchrl_atr.envs.physics.hook import SubstepHook
+from torchrl_atr.envs.profiles import Readings
+
+
+def resistance(x: Tensor, coefficients: tuple[float, float, float], readings: Readings) -> Tensor:
+    """Compute the generalised resistance R(x) = c0 + c1 x + c2 x², signed (question A10).
+
+    Args:
+        x: forward speed (m/s) or yaw rate (rad/s), any shape.
+        coefficients: (c0, c1, c2).
+        readings: ``odd_resistance`` and ``coulomb_smoothing``.
+
+    Returns:
+        R(x), same shape as ``x``; to be subtracted from the drive.
+
+    Example:
+        >>> round(float(resistance(torch.tensor(-1.0), (0.2, 0.05, 0.005), Readings(coulomb_smoothing=0.0))), 3)
+        -0.255
+    """
+    c0, c1, c2 = coefficients
+    if not readings.odd_resistance:
+        return c0 + c1 * x + c2 * x * x
+    speed = x.abs()
+    magnitude = c0 + speed * (c1 + c2 * speed)
+    smoothing = readings.coulomb_smoothing
+    return magnitude * (torch.tanh(x / smoothing) if smoothing else torch.sign(x))
+
+
+def advance(
+    x: Tensor, push: Tensor, coefficients: tuple[float, float, float], scale: Tensor, dt: float, readings: Readings
+) -> Tensor:
+    """Compute the speed after ``dt`` under ẋ = scale (push - R(x)).
+
+    With the jump of sgn in R the resistance may stop the motion within the step but never reverse it (A10).
+
+    Args:
+        x: speed, m/s or rad/s, any shape.
+        push: propulsion, same shape.
+        coefficients: of R.
+        scale: 1 / m_P or 1 / I_zz, or relative to nominal (A9), same shape or scalar.
+        dt: s.
+        readings: how R is read.
+    """
+    if readings.odd_resistance and not readings.coulomb_smoothing:
+        free = x + dt * scale * push
+        opposing = resistance(x.abs(), coefficients, readings)
+        opposing = torch.where(x == 0.0, coefficients[0], opposing)
+        return torch.sign(free) * (free.abs() - dt * scale * opposing).clamp_min(0.0)
+    return x + dt * scale * (push - resistance(x, coefficients, readings))
+
+
+@dataclass(frozen=True)
+class DriveLaw:
+    """Eqs. 1-3 (or 7-10) for N transporters: tilt and speeds in, speeds one substep later out; float64.
+
+    Attributes:
+        transporter: geometry, mass, limits, and the design's own ``drive``.
+        readings: the paper's open questions.
+
+    Example:
+        >>> from torchrl_atr.envs.models import TRANSPORTERS
+        >>> law = DriveLaw(TRANSPORTERS.get("single_board_g1"), Readings(coulomb_smoothing=0.0))
+        >>> rest, tilt = torch.zeros(1, 2, dtype=torch.float64), torch.tensor([[0.78, 0.0]], dtype=torch.float64)
+        >>> speed = law(rest, tilt, torch.ones(1, 2, dtype=torch.float64), dt=0.005)
+        >>> torch.allclose(speed, torch.tensor([[0.005 * (12 - 0.2), 0.0]], dtype=torch.float64))
+        True
+    """
+
+    transporter: TransporterSpec
+    readings: Readings
+
+    def __post_init__(self) -> None:
+        driving = torch.tensor(self.transporter.design.driving, dtype=torch.float64).T.contiguous()
+        object.__setattr__(self, "_driving", driving)
+
+    def mass_scale(self, mass: Tensor) -> Tensor:
+        """Compute what multiplies (drive - R): 1/m_P and 1/I_zz, or relative to the nominal transporter (A9).
+
+        Args:
+            mass: platform mass, kg, shape (N,).
+
+        Returns:
+            Shape (N, 2): forward, yaw. The boards are uniform boxes, so I_zz (or I*_zz) follows their mass.
+        """
+        spec = self.transporter
+        inertia = mass / spec.mass * spec.inertia[2]
+        reference = (spec.mass, spec.inertia[2]) if self.readings.relative_mass else (1.0, 1.0)
+        return torch.stack([reference[0] / mass, reference[1] / inertia], -1)
+
+    def __call__(self, speeds: Tensor, tilt: Tensor, scale: Tensor, dt: float) -> Tensor:
+        """Compute the speeds (v_f, ω_z) after one substep.
+
+        Args:
+            speeds: v_f (m/s) and ω_z (rad/s), shape (N, 2).
+            tilt: the hinge angles in the design's order (pitch, roll; or right, left), rad, shape (N, hinges).
+            scale: from :meth:`mass_scale`, shape (N, 2).
+            dt: substep, s.
+        """
+        driving: Tensor = vars(self)["_driving"]
+        pushes = self.transporter.design.drive(tilt @ driving, speeds, self.transporter, self.readings)
+        return advance(speeds, pushes, self.transporter.resistance, scale, dt, self.readings)
+
+
+class DriveHook(SubstepHook):
+    """Evaluates the drive law before every substep, and applies the planar force that realises it in that substep.
+
+    Writing velocities instead would hide the boards' acceleration from the contact solver and let the feet slip.
+
+    Args:
+        engine: of a scene whose support is a :class:`~torchrl_atr.envs.models.boards.Transporter`.
+
+    Attributes:
+        law: the drive law.
+        speeds: v_f, m/s, and ω_z, rad/s: the law's own state, (N, 2).
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        super().__init__(engine)
+        support, layout = engine.scene.support, engine.scene.support_layout
+        assert isinstance(layout, TransporterLayout), "riding needs a Transporter as the scene's support"
+        self.law = DriveLaw(support.spec, support.readings)
+        self._tilt, self._planar = columns(layout.tilt_qpos), columns(layout.planar_dof)
+        self._heading, self._boards = int(layout.planar_qpos[2]), columns(layout.board_bodies)
+        self._armature = engine.nominal("dof_armature")[layout.planar_dof]
+        n = engine.num_envs
+        self.speeds = torch.zeros(n, 2, dtype=torch.float64)
+        self._scale, self._force = torch.empty(n, 2, dtype=torch.float64), torch.empty(n, 3, dtype=torch.float64)
+        self._inertia = torch.empty(n, 3, dtype=torch.float64)
+        self.state = {"speeds": self.speeds}
+        self.refresh(torch.arange(n))
+
+    def start(self, rows: Tensor) -> None:
+        """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`; transporters head along x at first."""
+        self.refresh(rows)
+        forward, _, yaw = self.engine.scene.support_layout.planar_dof
+        self.speeds[rows] = self.engine.qvel[rows][:, [forward, yaw]]
+
+    def refresh(self, rows: Tensor) -> None:
+        """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`; the boards' masses are in the engine's fields."""
+        mass = self.engine.fields["body_mass"][rows][:, self._boards].sum(-1)
+        spec = self.law.transporter
+        self._scale[rows] = self.law.mass_scale(mass)
+        self._inertia[rows] = self._armature + torch.stack([mass, mass, mass / spec.mass * spec.inertia[2]], -1)
+
+    def apply(self, dt: float) -> None:
+        """Evaluate the law at the current tilt and apply the force that realises it in one substep."""
+        engine, force = self.engine, self._force
+        self.speeds.copy_(self.law(self.speeds, engine.qpos[:, self._tilt], self._scale, dt))
+        speed, yaw_rate = self.speeds.unbind(-1)
+        heading = engine.qpos[:, self._heading] + dt * yaw_rate
+        torch.mul(speed, torch.cos(heading), out=force[:, 0])  # Eq. 2: first the velocity that is wanted
+        torch.mul(speed, torch.sin(heading), out=force[:, 1])
+        force[:, 2] = yaw_rate
+        force -= engine.qvel[:, self._planar]
+        force *= self._inertia
+        force /= dt
+        engine.qfrc_applied[:, self._planar] = force
+
+    def lose(self, rows: Tensor) -> None:
+        """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`: those stand still."""
+        self.speeds[rows] = 0.0
+
+    def acceleration(self, rows: Tensor | slice = slice(None)) -> Tensor:
+        """Compute v̇ and α that the law gives ``rows`` at their present tilt and speeds, m/s² and rad/s², (n, 2)."""
+        speeds, tilt = self.speeds[rows], self.engine.qpos[rows][:, self._tilt]
+        return (self.law(speeds, tilt, self._scale[rows], TIMESTEP) - speeds) / TIMESTEP

@@ -1,0 +1,128 @@
+"""Table II: the intrinsic parameters x_int of robot and transporter, their ranges, and how they reach the model."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.models.robot import RobotSpec
+from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.models.transporter import Board, TransporterError, TransporterSpec
+from torchrl_atr.envs.physics.engine import ModelFields
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.tasks import mirrors, parameters
+from torchrl_atr.envs.tasks.intrinsic_parameters import Apply, IntrinsicParameter
+
+TABLE_II_KP, TABLE_II_KD = 40.0, 1.0
+"""Midpoints of Table II's ranges, N m/rad and N m s/rad, for every robot if A13 is read literally."""
+_MIN_MASS_SHARE = 0.1
+"""A platform never gets lighter than this share of its nominal mass (A14)."""
+
+
+def robot_intrinsics(robot: RobotSpec, readings: Readings) -> dict[str, IntrinsicParameter]:
+    """Return Table II's rows that are about the robot and its feet, by name in its order.
+
+    Args:
+        robot: its nominal gains.
+        readings: what the ranges of the PD gains mean (A13).
+    """
+    stiffness, damping = (robot.kp, robot.kd) if readings.gains_as_ratios else (TABLE_II_KP, TABLE_II_KD)
+    kp, kd = (
+        partial(_scaled, function, unit) for function, unit in ((parameters.kp, stiffness), (parameters.kd, damping))
+    )
+    return {
+        "payload": IntrinsicParameter(parameters.payload, (0.0, 1.0), (0.0, 3.0), 0.0),
+        "com_shift": IntrinsicParameter(parameters.com_shift, (-0.2, 0.2), (-0.25, 0.25), 0.0, 3, mirrors.POLAR),
+        "kp": IntrinsicParameter(kp, (0.9, 1.1), (0.8, 1.2), 1.0, "joints", mirrors.joint_gains),
+        "kd": IntrinsicParameter(kd, (0.8, 1.2), (0.6, 1.4), 1.0, "joints", mirrors.joint_gains),
+        "friction": IntrinsicParameter(parameters.friction, (0.8, 1.2), (0.7, 1.5), 1.0),
+    }
+
+
+def riding_intrinsics(
+    robot: RobotSpec, transporter: TransporterSpec, readings: Readings
+) -> dict[str, IntrinsicParameter]:
+    """Return Table II by name in its order; the self-balancing gains are ratios of their ranges' midpoints.
+
+    Args:
+        robot: its nominal gains.
+        transporter: its nominal mass and springs.
+        readings: the self-balancing gains' unit and scale (A12), the PD gains' (A13).
+    """
+    own = robot_intrinsics(robot, readings)
+    friction = own.pop("friction")
+    stiffness, damping = (torch.from_numpy(values) for values in transporter.springs(readings))
+    springs = (0.8 / 1.15, 1.5 / 1.15), (0.5 / 1.15, 2.0 / 1.15)
+    return {
+        **own,
+        "platform_mass": IntrinsicParameter(_platform_mass, (-0.5, 0.5), (-1.0, 1.0), 0.0),
+        "friction": friction,
+        "sb_stiffness": IntrinsicParameter(partial(_scaled, _stiffness, stiffness), *springs, 1.0, 2, _sides),
+        "sb_damping": IntrinsicParameter(partial(_scaled, _damping, damping), (0.8, 1.2), (0.4, 2.0), 1.0, 2, _sides),
+    }
+
+
+def _scaled(
+    function: Apply, unit: float | Tensor, fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene
+) -> None:
+    """Apply a parameter whose values are ratios to a nominal of robot or transporter."""
+    function(fields, rows, value * unit, scene)
+
+
+def _platform_mass(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+    """Add a mass to the boards together, kg, (n, 1); their inertia grows in proportion."""
+    nominal = scene.support.spec.mass
+    share = (nominal + value[:, 0]).clamp_min(_MIN_MASS_SHARE * nominal) / nominal
+    for body in scene.support_layout.board_bodies:
+        parameters.scale_body(fields, rows, int(body), share)
+
+
+def _stiffness(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+    """Set the hinges' stiffness, N m/rad, in Table II's order (roll, pitch; or right, left), (n, 2)."""
+    layout = scene.support_layout
+    fields["jnt_stiffness"][rows[:, None], torch.as_tensor(layout.tilt_joints)] = value[:, layout.tilt_gains]
+
+
+def _damping(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+    """Set the hinges' damping, N m s/rad, likewise, (n, 2)."""
+    layout = scene.support_layout
+    fields["dof_damping"][rows[:, None], torch.as_tensor(layout.tilt_dof)] = value[:, layout.tilt_gains]
+
+
+def _sides(scene: Scene) -> Tensor:
+    """Return R of Table II's two gains, (2, 2): roll and pitch stay, those of a right and a left board swap.
+
+    Raises:
+        TransporterError: if the left boards are not the mirror image of the right ones.
+    """
+    spec: TransporterSpec = scene.support.spec
+    matrix, boards = torch.zeros(2, 2, dtype=torch.float32), spec.design.boards
+    for board in boards:
+        mirrored = next((other for other in boards if _mirror_images(board, other)), None)
+        if mirrored is None:
+            raise TransporterError(
+                f"transporter {spec.name!r}: board {board.name!r} has no mirror image on the other side; "
+                "add it, or train with symmetric=false"
+            )
+        for hinge, partner in zip(board.hinges, mirrored.hinges):
+            matrix[partner.gain, hinge.gain] = 1.0
+            for name in ("sb_stiffness", "sb_damping"):
+                values = getattr(spec, name)
+                if not math.isclose(values[hinge.gain], values[partner.gain], rel_tol=1e-3, abs_tol=1e-12):
+                    raise TransporterError(
+                        f"transporter {spec.name!r}: {name} of {hinge.name!r} and {partner.name!r} are "
+                        f"{values[hinge.gain]:g} and {values[partner.gain]:g}; give both sides the same, or train with "
+                        "symmetric=false"
+                    )
+    for gain in range(2):
+        if not matrix[gain].any():  # of no hinge
+            matrix[gain, gain] = 1.0
+    return matrix
+
+
+def _mirror_images(board: Board, other: Board) -> bool:
+    alike = [hinge.axis for hinge in board.hinges] == [hinge.axis for hinge in other.hinges]
+    return alike and math.isclose(board.offset, -other.offset) and math.isclose(board.share, other.share)

@@ -1,0 +1,72 @@
+"""What a rider observes (Table I): proprioception, the extrinsic privileged state, and what the critic sees besides."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from tensordict import NestedKey
+from torch import Tensor
+
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.tasks import mirrors
+from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.observation_terms import Group, ObservationTerm
+from torchrl_atr.envs.tasks.proprioception import LEG_NAMES, PROPRIO, body_velocity, contacts
+from torchrl_atr.envs.tasks.riding.forecast import FORECAST_MIRROR, tracking_forecast
+from torchrl_atr.envs.tasks.rotations import rotate_back
+
+
+def platform_velocity(c: StepContext) -> Tensor:
+    """v_P in the body frame, m/s, (N, 3)."""
+    return rotate_back(c.state.rotation, c.state.platform_velocity)
+
+
+def platform_angular_velocity(c: StepContext) -> Tensor:
+    """ω_P in the body frame, rad/s, (N, 3)."""
+    return rotate_back(c.state.rotation, c.state.platform_angular_velocity)
+
+
+def relative_position(c: StepContext) -> Tensor:
+    """p_B,xy in the frame of P, m, (N, 2)."""
+    return c.state.relative_position
+
+
+def relative_yaw(c: StepContext) -> Tensor:
+    """θ_B,z in the frame of P, rad, (N, 1)."""
+    return c.state.relative_yaw
+
+
+def speeds(c: StepContext) -> Tensor:
+    """Forward speed, m/s, and yaw rate, rad/s, of the transporter, (N, 2)."""
+    return c.state.speeds
+
+
+EXTRINSIC: Group = {
+    "contacts": ObservationTerm(contacts, mirrors.legs, "contact", LEG_NAMES, "1"),
+    "body_velocity": ObservationTerm(body_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
+    "platform_velocity": ObservationTerm(platform_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
+    "platform_angular_velocity": ObservationTerm(platform_angular_velocity, mirrors.AXIAL, parts="xyz", unit="rad/s"),
+    "relative_position": ObservationTerm(relative_position, mirrors.POLAR[:2], parts="xy", unit="m"),
+    "relative_yaw": ObservationTerm(relative_yaw, mirrors.AXIAL[2:], unit="rad"),
+}
+"""x_ext = [c, v_B, v_P, ω_P, p_B,xy in P, θ_B,z in P] by component (Table V's order)."""
+
+
+def extrinsic(readings: Readings) -> dict[str, ObservationTerm]:
+    """Return x_ext's components: all of :data:`EXTRINSIC`, or without the relative pose (A1)."""
+    return {name: term for name, term in EXTRINSIC.items() if readings.relative_pose or "relative" not in name}
+
+
+def observations(readings: Readings) -> Mapping[NestedKey, Group]:
+    """Return the groups of what a rider and its critic observe.
+
+    Args:
+        readings: which components the extrinsic state has (A1).
+    """
+    return {
+        "proprio": PROPRIO,
+        "speeds": {"speeds": ObservationTerm(speeds, mirrors.FORWARD_YAW)},
+        "odometry": {"odometry": ObservationTerm(lambda c: c.memory["odometry"], mirrors.POLAR, unit="m/s")},
+        ("privileged", "extrinsic"): extrinsic(readings),
+        ("privileged", "outlook"): {"outlook": ObservationTerm(tracking_forecast, FORECAST_MIRROR)},
+    }

@@ -1,0 +1,82 @@
+"""How rides begin, what pushes them, and what ends them early (A33, A34)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.physics.engine import Engine
+from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.events import ROBOT_PUSH, InitialState, Reset, Termination, stand, uniform
+
+PLATFORM_PUSH = (0.5, 0.25)
+"""Largest change of the platform's forward speed (m/s) and yaw rate (rad/s) (A33)."""
+
+
+def push(engine: Engine, rows: Tensor, generator: torch.Generator) -> None:
+    """Kick ``rows``: the robot in the plane, the platform through the drive law's state.
+
+    Args:
+        engine: whose ``qvel`` and hook's ``speeds`` change.
+        rows: (n,) integers.
+        generator: source of randomness.
+    """
+    draw = uniform(len(rows), 4, generator)
+    root = engine.scene.layout.root_dof
+    engine.qvel[rows, root : root + 2] += ROBOT_PUSH * draw[:, :2]
+    engine.hook.state["speeds"][rows] += torch.tensor(PLATFORM_PUSH, dtype=torch.float64) * draw[:, 2:]
+
+
+def start(moving_start: float) -> Reset:
+    """Return how rides begin.
+
+    Args:
+        moving_start: share of the starts that are on the move, in [0, 1].
+    """
+    return partial(_start, moving_start) if moving_start > 0.0 else stand
+
+
+def _start(moving_start: float, scene: Scene, command: Tensor, generator: torch.Generator) -> InitialState:
+    """Start in the standing pose, not moving relative to the transporter, which may move at part of the command.
+
+    The tracking kernels are steepest near their peak, and the yaw that a lean earns comes seconds later: a rider that
+    starts at (part of) the commanded yaw rate feels at once that leaning keeps it, one that starts at rest pays for the
+    lean long before it turns. Each component of a moving start is uniform between 0 and its command.
+    """
+    draw = torch.rand(len(command), 3, generator=generator, dtype=torch.float64)
+    speeds = torch.where(draw[:, :1] < moving_start, draw[:, 1:] * command.double(), 0.0)
+    qpos, qvel, _ = stand(scene, command, generator)
+    (forward, _, yaw), root = scene.support_layout.planar_dof, scene.layout.root_dof
+    qvel[:, forward], qvel[:, yaw] = speeds[:, 0], speeds[:, 1]
+    # the robot moves with the board as one rigid body: v + omega x r
+    offset = qpos[:, scene.layout.root_qpos : scene.layout.root_qpos + 2]
+    qvel[:, root] = speeds[:, 0] - speeds[:, 1] * offset[:, 1]
+    qvel[:, root + 1] = speeds[:, 1] * offset[:, 0]
+    qvel[:, root + 5] = speeds[:, 1]
+    return InitialState(qpos, qvel, (speeds != 0.0).any(-1))
+
+
+def tilted(c: StepContext) -> Tensor:
+    """Body roll or pitch beyond the limit, (N,)."""
+    return (c.state.euler[:, :2].abs() > c.readings.tilt_limit).any(-1)
+
+
+def off_the_boards(c: StepContext) -> Tensor:
+    """Body centre beyond the boards, (N,)."""
+    length, width = c.scene.support.size
+    return (c.state.relative_position.abs() > c.action.new_tensor([length / 2, width / 2])).any(-1)
+
+
+def too_low(c: StepContext) -> Tensor:
+    """Body too low over the boards' top, (N,)."""
+    thickness = c.scene.support.spec.size[2]
+    height = c.state.position[:, 2] - c.state.platform_position[:, 2] - thickness / 2
+    return height < c.robot.min_height
+
+
+TERMINATIONS: Mapping[str, Termination] = {"tilted": tilted, "off_the_boards": off_the_boards, "too_low": too_low}
+"""When an episode ends early (A34): the robot risks flipping, or falling off or onto the transporter."""

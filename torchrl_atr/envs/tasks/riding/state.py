@@ -1,0 +1,123 @@
+"""The riding state: what a robot's state lacks of the transporter below it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from torchrl_atr.envs.models.boards import BOARD_HEIGHT
+from torchrl_atr.envs.models.scene import columns
+from torchrl_atr.envs.physics.engine import Engine
+from torchrl_atr.envs.tasks.riding.drive_law import DriveHook
+from torchrl_atr.envs.tasks.rotations import angular_velocity, matrix_from_euler, rotate_back, wrap
+from torchrl_atr.envs.tasks.state import QuadrupedState, Readout, Rows, StateReader, single
+
+
+@dataclass
+class RidingState(QuadrupedState):
+    """A robot's state and that of its transporter, float32, world frame unless the name says otherwise.
+
+    Attributes:
+        platform_position, platform_velocity, platform_acceleration: of the pivot P, (N, 3).
+        platform_rotation: (N, 3, 3); platform_euler: (N, 3), yaw in [-π, π]. Of two boards, P has the average
+            pitch and no roll.
+        driving_tilt: forward and steering tilt, what drives the transporter (Eqs. 1, 3, 7), rad, (N, 2).
+        platform_angular_velocity, platform_angular_acceleration: world frame, (N, 3).
+        speeds: the drive law's forward speed and yaw rate in P_planar, (N, 2).
+        driven_acceleration: v̇ and α that the law gives at this tilt, m/s² and rad/s², (N, 2).
+        relative_position: of the body in the platform frame, horizontal part, m, (N, 2).
+        relative_yaw: heading of the body relative to the platform, rad, (N, 1).
+    """
+
+    platform_position: Tensor
+    platform_velocity: Tensor
+    platform_acceleration: Tensor
+    platform_rotation: Tensor
+    platform_euler: Tensor
+    driving_tilt: Tensor
+    platform_angular_velocity: Tensor
+    platform_angular_acceleration: Tensor
+    speeds: Tensor
+    driven_acceleration: Tensor
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.relative_position = rotate_back(self.platform_rotation, self.position - self.platform_position)[:, :2]
+        self.relative_yaw = wrap(self.euler[:, 2:] - self.platform_euler[:, 2:])
+
+
+class RidingStateReader(StateReader):
+    """Reads a :class:`RidingState` out of an engine whose hook is a :class:`DriveHook`."""
+
+    state_type = RidingState
+
+    def __init__(self, engine: Engine) -> None:
+        layout = engine.scene.support_layout
+        self._planar_qpos, self._planar_dof = columns(layout.planar_qpos), columns(layout.planar_dof)
+        self._heading = int(layout.planar_qpos[2])
+        self._tilt_qpos, self._tilt_dof = columns(layout.tilt_qpos), columns(layout.tilt_dof)
+        design = engine.scene.support.spec.design
+        # both from hinge angles: (n, hinges) @ (hinges, 2)
+        self._driving = torch.tensor(design.driving, dtype=torch.float32).T
+        self._roll_and_pitch = torch.tensor(design.attitude, dtype=torch.float32).flip(0).T
+        super().__init__(engine)
+
+    @property
+    def _hook(self) -> DriveHook:
+        assert isinstance(self.engine.hook, DriveHook), "a RidingState needs the engine's hook to be a DriveHook"
+        return self.engine.hook
+
+    def gather(self, rows: Rows = slice(None)) -> Readout:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`; the heading, which is unbounded, in [-π, π]."""
+        readout, hook = super().gather(rows), self._hook
+        heading = self.engine.qpos[rows][:, self._heading]
+        # wrapped before the cast: float32 would lose it
+        readout["qpos"][:, self._heading] = heading - 2 * math.pi * (heading / (2 * math.pi)).round()
+        readout["speeds"] = single(hook.speeds[rows])
+        readout["driven_acceleration"] = single(hook.acceleration(rows))
+        return readout
+
+    def velocities_of(self, readout: Readout) -> Tensor:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`; v_P and ω_P follow."""
+        qvel = readout["qvel"]
+        planar = qvel[:, self._planar_dof]
+        rates = torch.cat([_mix(qvel[:, self._tilt_dof], self._roll_and_pitch), planar[:, 2:]], -1)
+        platform = pad(planar[:, :2], (0, 1))  # it keeps its height
+        turning = angular_velocity(self._platform_euler(readout), rates)
+        return torch.cat([super().velocities_of(readout), platform, turning], -1)
+
+    def _platform_euler(self, readout: Readout) -> Tensor:
+        """Return roll, pitch and yaw of P, (n, 3)."""
+        qpos = readout["qpos"]
+        attitude = _mix(qpos[:, self._tilt_qpos], self._roll_and_pitch)
+        return torch.cat([attitude, qpos[:, self._planar_qpos][:, 2:]], -1)
+
+    def parts(self, readout: Readout, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`."""
+        qpos, euler = readout["qpos"], self._platform_euler(readout)
+        return {
+            **super().parts(readout, velocities, rates),
+            "platform_position": pad(qpos[:, self._planar_qpos][:, :2], (0, 1), value=BOARD_HEIGHT),
+            "platform_velocity": velocities[:, -6:-3],
+            "platform_acceleration": rates[:, -6:-3],
+            "platform_rotation": matrix_from_euler(*euler.unbind(-1)),
+            "platform_euler": euler,
+            "driving_tilt": _mix(qpos[:, self._tilt_qpos], self._driving),
+            "platform_angular_velocity": velocities[:, -3:],
+            "platform_angular_acceleration": rates[:, -3:],
+            "speeds": readout["speeds"],
+            "driven_acceleration": readout["driven_acceleration"],
+        }
+
+
+def _mix(angles: Tensor, matrix: Tensor) -> Tensor:
+    """Return ``angles @ matrix``, (n, 2), written out: compiled loops need not end for it."""
+    mixed = angles[:, :1] * matrix[0]
+    for i in range(1, len(matrix)):
+        mixed = mixed + angles[:, i : i + 1] * matrix[i]
+    return mixed

@@ -1,0 +1,230 @@
+"""``EpisodeRunner``: a task over an engine, without TorchRL or dm_control; both front ends drive it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchrl_atr._checks import check_choice, check_flag, check_number
+from torchrl_atr._errors import InputError
+from torchrl_atr._inference import keeps_normal_tensors
+from torchrl_atr.envs.physics.engine import Engine
+from torchrl_atr.envs.tasks.finite import as_float32, bad_rows
+from torchrl_atr.envs.tasks.intrinsic_parameters import RANDOMIZATIONS, Intrinsics, Randomization
+from torchrl_atr.envs.tasks.reward_terms import TERMINATION
+from torchrl_atr.envs.tasks.sensor_errors import SensorErrors
+from torchrl_atr.envs.tasks.task import Task
+from torchrl_atr.envs.tasks.terms import Memory, Observed, StepOutcome, TaskTerms, with_command
+
+ACTION_LIMIT = 3.0
+"""Bounds of the action specs, in units of the action scale: with 0.25 rad a unit, joint targets of q0 ± 0.75 rad.
+
+The same for all joints, so that 0, the stand, is the middle of a squashed policy's range and left is right's mirror
+image; the committed A1 policy stays within it in 99 of 100 steps. Beyond it, actions are carried out as they are; the
+model clips joint targets at its control ranges, wherever they come from.
+"""
+
+
+class EpisodeRunner:
+    """N robots' episodes of a task: intrinsics, initial states, disturbances, actions, rewards, observations.
+
+    A control step is :meth:`apply_action`, then the engine's ``advance``, then :meth:`evaluate_step`.
+
+    Args:
+        task: read here, once.
+        engine: of the task's scene, with the task's hook.
+        randomization: ``"train"`` or ``"test"`` range of the intrinsics, or ``"off"``.
+        rng: source of intrinsics, initial states, disturbances and sensor errors.
+        failed_episode_replay: share of the failures after which the same robot, with the intrinsics it failed with,
+            tries again.
+        compiled: whether what a step computes from the simulation is compiled (``compile_methods``).
+
+    Attributes:
+        terms: rewards, terminations, observations and memory.
+        intrinsics: what x_int is made of.
+        x_int: scaled intrinsic parameters, (N, I).
+        previous_action: a_{t-1}, (N, 12), zero at the start of an episode.
+        memory: what is carried from step to step, by name, (N, size) each.
+        moving: whether the episode started with part of what is commanded, (N,) bool.
+        steps: control steps since the start of the episode, (N,).
+        failed: whether the last control step ended the episode early, (N,) bool.
+        num_diverged: robots that have failed so far, counted by whoever drives the task.
+
+    Raises:
+        InputError: for an unknown ``randomization``, a share outside [0, 1], ``compiled`` without a C++ compiler, or a
+            term that cannot be used; names it.
+    """
+
+    @keeps_normal_tensors
+    def __init__(
+        self,
+        task: Task,
+        engine: Engine,
+        randomization: Randomization,
+        rng: torch.Generator,
+        failed_episode_replay: float = 0.0,
+        compiled: bool = False,
+    ) -> None:
+        self.failed_episode_replay = check_number("failed_episode_replay", failed_episode_replay, 0.0, 1.0)
+        check_choice("randomization", randomization, RANDOMIZATIONS)
+        check_flag("compiled", compiled)
+        self.task, self.engine, self.scene, self.readings = task, engine, engine.scene, task.readings
+        self.randomization, self.rng = randomization, rng
+        self.num_diverged = 0
+        self.joints = len(self.scene.robot.joints)
+        n = engine.num_envs
+        self._nominal = torch.tensor(self.scene.robot.q0, dtype=torch.float64)
+        self._reader = task.state_reader(engine)
+        self.steps = torch.zeros(n, dtype=torch.long)
+        self.failed, self.moving = torch.zeros(2, n, dtype=torch.bool)
+        self.previous_action = torch.zeros(n, self.joints, dtype=torch.float32)
+        self.intrinsics = Intrinsics(task.intrinsics, self.scene)
+        self.x_int = self.intrinsics.sample(n, "off", rng)
+        self.terms = TaskTerms(task, self._reader, compiled)
+        self.memory: Memory = self.terms.no_memory
+        self.sensor_errors = SensorErrors(self.terms.observations, n, rng)
+        self.start_episodes(torch.arange(n), torch.zeros(n, len(task.command), dtype=torch.float32))
+
+    @keeps_normal_tensors
+    @torch.no_grad()
+    def start_episodes(self, rows: Tensor, command: Tensor) -> Observed:
+        """Start episodes of ``rows`` with fresh intrinsics and initial states; leave the others alone.
+
+        A robot that is hard to keep up has short episodes: drawn anew each time, such robots would hardly be seen. With
+        ``failed_episode_replay`` some of those that failed keep their intrinsics.
+
+        Args:
+            rows: (n,) integers.
+            command: that those episodes start with, (n, C); read by moving starts.
+
+        Returns:
+            What those rows observe, as :meth:`observe` gives it for all.
+        """
+        n = len(rows)
+        x_int = self.intrinsics.sample(n, self.randomization, self.rng)
+        if self.failed_episode_replay > 0.0:
+            draw = torch.rand(n, generator=self.rng, dtype=torch.float32)
+            again = self.failed[rows] & (draw < self.failed_episode_replay)
+            x_int = torch.where(again.unsqueeze(-1), self.x_int[rows], x_int)
+        begun = self.task.reset(self.scene, command, self.rng)
+        self.engine.reset(rows, begun.qpos, begun.qvel, lambda fields: self.intrinsics.apply(fields, rows, x_int))
+        observed, velocities, memory = self.terms.first(self._reader.gather(rows), command, x_int)
+        self._reader.velocities[rows] = velocities
+        # out of place: callers may hold what was handed out before
+        self.x_int = self.x_int.index_copy(0, rows, x_int)
+        self.memory = {name: value.index_copy(0, rows, memory[name]) for name, value in self.memory.items()}
+        self.previous_action = self.previous_action.index_fill(0, rows, 0.0)
+        self.moving = self.moving.index_copy(0, rows, begun.moving)
+        self.steps, self.failed = self.steps.index_fill(0, rows, 0), self.failed.index_fill(0, rows, False)
+        if self.sensor_errors:
+            observed = with_command(self.sensor_errors.start(rows, observed))
+        return {**observed, "moving_start": begun.moving.unsqueeze(-1)}
+
+    @keeps_normal_tensors
+    def apply_action(self, action: Tensor) -> None:
+        """Begin a control step: disturbances that are due, then the joint targets q0 + scale · action.
+
+        Args:
+            action: (N, 12).
+
+        Raises:
+            InputError: for a wrong shape, or an action that is not finite in float32.
+        """
+        shape, remedy = tuple(self.previous_action.shape), "check the policy that wrote it"
+        single = as_float32("action", action.detach(), shape, "one value per joint", remedy)
+        self._disturb()
+        self._action = single.clone()  # callers reuse their buffers
+        self.engine.command(self._nominal + self.scene.robot.action_scale * self._action)
+
+    def _disturb(self) -> None:
+        for disturbance in self.task.disturbances.values():
+            due = ((self.steps % disturbance.steps == 0) & (self.steps > 0)).nonzero().squeeze(-1)
+            if len(due):
+                disturbance.function(self.engine, due, self.rng)
+
+    @keeps_normal_tensors
+    @torch.no_grad()
+    def evaluate_step(self, command: Tensor) -> StepOutcome:
+        """End a control step, after the engine advanced.
+
+        Args:
+            command: in force during the step, (N, C).
+
+        Returns:
+            Reward, terms, terminations and observations of all robots.
+        """
+        diverged = self.engine.diverged
+        if diverged.any():  # what came before is no state to take differences to
+            self._reader.forget(diverged.nonzero().squeeze(-1))
+        before = self._reader.velocities, self._action, self.previous_action, self.memory
+        outcome, self._reader.velocities, self.memory = self.terms.evaluate(
+            self._reader.gather(), *before, command, self.x_int, diverged
+        )
+        self.previous_action = self._action
+        self.steps, self.failed = self.steps + 1, outcome.terminated
+        if self.sensor_errors:
+            outcome.observed = with_command(self.sensor_errors.apply(outcome.observed))
+        outcome.observed["moving_start"] = self.moving.unsqueeze(-1)
+        return outcome
+
+    def terminate_failed(self, rows: list[int], outcome: StepOutcome) -> None:
+        """End the episodes of ``rows``, in which no step can be scored: all that is left is the cost of terminating.
+
+        Args:
+            rows: which robots.
+            outcome: of the step, changed in place.
+        """
+        for term in outcome.terms.values():
+            term[rows] = 0.0
+        outcome.reward[rows] = self.terms.rewards.termination_cost
+        if TERMINATION in outcome.terms:
+            outcome.terms[TERMINATION][rows] = self.terms.rewards.termination_cost
+        outcome.terminated[rows] = True
+        self.failed = outcome.terminated
+
+    def observe(self, command: Tensor) -> Observed:
+        """Return what all robots observe now, without errors of sensors.
+
+        Args:
+            command: (N, C).
+
+        Returns:
+            Observations by key, (N, features) each, raw SI units.
+        """
+        observed = self.terms.observe(command, self.previous_action, self.memory, self.x_int)
+        return {**observed, "moving_start": self.moving.unsqueeze(-1)}
+
+    def get_state(self) -> dict[str, Tensor]:
+        """Return simulation state (float64) and bookkeeping, copied."""
+        return {**self.engine.get_state(), **{name: value.clone() for name, value in self._bookkeeping().items()}}
+
+    def _bookkeeping(self) -> dict[str, Tensor]:
+        names = ("x_int", "previous_action", "steps", "failed", "moving")
+        return {**{name: getattr(self, name) for name in names}, **self.memory, **self.sensor_errors.state}
+
+    @keeps_normal_tensors
+    def set_state(self, state: dict[str, Tensor]) -> None:
+        """Restore a :meth:`get_state`, of any engine: intrinsic parameters, simulation and bookkeeping.
+
+        Raises:
+            KeyError: if an entry is missing.
+            ValueError: if an entry's shape does not fit.
+        """
+        for name, value in self.get_state().items():
+            if name not in state:
+                raise KeyError(f"the state lacks {name!r}; pass what get_state() returned")
+            if state[name].shape != value.shape:
+                got, needed = tuple(state[name].shape), tuple(value.shape)
+                raise ValueError(f"state entry {name!r} has shape {got}; this env needs {needed}")
+        own = {name: state[name].to(value.dtype, copy=True) for name, value in self._bookkeeping().items()}
+        for name, value in own.items():
+            if value.ndim == 2 and (bad := bad_rows(value)):
+                raise InputError(f"state entry {name!r} is not finite in float32 for env ids {bad[:8]}; correct it")
+        for held in (self.memory, self.sensor_errors.state):
+            held.update({name: own.pop(name) for name in list(held)})
+        vars(self).update(own)
+        rows = torch.arange(self.engine.num_envs)
+        qpos, qvel = (state[name].double() for name in ("qpos", "qvel"))
+        self.engine.reset(rows, qpos, qvel, lambda fields: self.intrinsics.apply(fields, rows, self.x_int))
+        self.engine.set_state(dict(state))
+        self._reader.forget()

@@ -1,0 +1,175 @@
+"""The state of a robot: the physical quantities that observations, rewards and terminations are functions of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.models.scene import columns
+from torchrl_atr.envs.physics.engine import CONTROL_DT, Engine
+from torchrl_atr.envs.tasks.rotations import euler_from_matrix, matrix_from_quaternion, rotate_back
+
+CONTACT_THRESHOLD = 1.0
+"""Force above which something touches, N (question A35)."""
+GRAVITY = 9.81
+Rows = Tensor | slice
+"""Which robots of a batch: row numbers, or all of them."""
+Readout = dict[str, Tensor]
+"""What an engine holds of n robots after a control step, float32, as MuJoCo and the engine's hook have it."""
+
+
+@dataclass
+class QuadrupedState:
+    """One batch of N robots after a control step, float32, world frame unless the name says otherwise.
+
+    Accelerations are differences over the control step (A32): what a low-passed IMU reports, free of solver
+    spikes. Forces, feet and centre of mass are those that the last substep began with: only relations between them
+    mean something, such as the centre of mass over the polygon of the feet.
+
+    Attributes:
+        position, velocity, acceleration: of the body B's frame origin, (N, 3).
+        rotation: body to world, (N, 3, 3).
+        euler: roll, pitch, yaw of the body, (N, 3).
+        angular_velocity: ω_B in the body frame, (N, 3).
+        joint_position, joint_velocity, joint_acceleration, torque: q, q̇, q̈, τ in the spec's order, (N, 12).
+        torque_velocity: q̇ of the instant that ``torque`` is of, the beginning of the last substep, (N, 12).
+        foot_position, foot_force: (N, 4, 3); forces act on the foot. Of a foot of several geoms, the mean of their
+            centres and the sum of their forces.
+        other_force: contact force on the rest of the robot, (N, 3).
+        com: the robot's centre of mass, (N, 3).
+        foot_load: magnitude of each foot's contact force, N, (N, 4).
+        contacts: contact indicators c_i as 0 or 1, (N, 4).
+        body_acceleration: v̇_B in the body frame, m/s², (N, 3).
+    """
+
+    position: Tensor
+    velocity: Tensor
+    acceleration: Tensor
+    rotation: Tensor
+    euler: Tensor
+    angular_velocity: Tensor
+    joint_position: Tensor
+    joint_velocity: Tensor
+    joint_acceleration: Tensor
+    torque: Tensor
+    torque_velocity: Tensor
+    foot_position: Tensor
+    foot_force: Tensor
+    other_force: Tensor
+    com: Tensor
+
+    def __post_init__(self) -> None:  # not cached properties: torch.compile cannot look into those
+        self.foot_load = self.foot_force.norm(dim=-1)
+        self.contacts = (self.foot_load > CONTACT_THRESHOLD).to(self.foot_force.dtype)
+        self.body_acceleration = rotate_back(self.rotation, self.acceleration)
+
+
+class StateReader:
+    """Reads a :class:`QuadrupedState` out of an engine, with differences to the previous reading.
+
+    A task with a state of its own subclasses it: :meth:`gather` for more of the engine's tensors, :meth:`velocities_of`
+    for more velocities to differentiate, :meth:`parts` for more fields of ``state_type``.
+
+    Args:
+        engine: any engine.
+
+    Attributes:
+        state_type: what :meth:`interpret` makes.
+        velocities: of the previous reading, (N, V); what the next one's accelerations are differences to.
+    """
+
+    state_type: ClassVar[type[QuadrupedState]] = QuadrupedState
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        layout = engine.scene.layout
+        self._root_qpos, self._root_dof = (slice(start, start + 3) for start in (layout.root_qpos, layout.root_dof))
+        self._joint_qpos, self._joint_dof = columns(layout.joint_qpos), columns(layout.joint_dof)
+        self._actuators = columns(layout.actuators)
+        self._sensors, self._foot_sizes = layout.sensors, layout.foot_sizes
+        self.velocities = self.velocities_of(self.gather())
+
+    def forget(self, rows: Rows = slice(None)) -> None:
+        """Start the differences of ``rows`` anew from the present state (after a reset or the like)."""
+        self.velocities[rows] = self.velocities_of(self.gather(rows))
+
+    def read(self) -> QuadrupedState:
+        """Return the state of all robots now; accelerations are differences to their previous reading."""
+        state, self.velocities = self.interpret(self.gather(), self.velocities)
+        return state
+
+    def gather(self, rows: Rows = slice(None)) -> Readout:
+        """Return the engine's tensors of ``rows``, copied and cast once."""
+        engine = self.engine
+        return {
+            "qpos": single(engine.qpos[rows]),
+            "qvel": single(engine.qvel[rows]),
+            "sensed": single(engine.sensordata[rows]),
+            "torque": single(engine.actuator_force[rows]),
+            "torque_velocity": single(engine.torque_velocity[rows]),
+        }
+
+    def velocities_of(self, readout: Readout) -> Tensor:
+        """Return what the next state differentiates, (n, V): v_B and q̇ first."""
+        qvel = readout["qvel"]
+        return torch.cat([qvel[:, self._root_dof], qvel[:, self._joint_dof]], -1)
+
+    def interpret(self, readout: Readout, previous: Tensor | None) -> tuple[QuadrupedState, Tensor]:
+        """Return the state that a readout shows, and its velocities; touches nothing else.
+
+        Args:
+            readout: of n robots.
+            previous: their velocities a control step ago, to which accelerations are differences; None: they are zero.
+        """
+        now = self.velocities_of(readout)
+        rates = torch.zeros_like(now) if previous is None else (now - previous) / CONTROL_DT
+        return self.state_type(**self.parts(readout, now, rates)), now
+
+    def parts(self, readout: Readout, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
+        """Return the fields of the state.
+
+        Args:
+            readout: of n robots.
+            velocities: :meth:`velocities_of` it, (n, V).
+            rates: their derivatives, (n, V).
+        """
+        qpos, qvel, sensed, sensors = readout["qpos"], readout["qvel"], readout["sensed"], self._sensors
+        joints = qpos[:, self._joint_qpos]
+        end = 3 + joints.shape[-1]
+        rotation = matrix_from_quaternion(qpos[:, self._root_qpos.stop : self._root_qpos.stop + 4])
+        # contact sensors give the force on the support; the feet feel the opposite
+        foot_force = _by_foot(sensed[:, sensors["foot_force"]].neg(), self._foot_sizes, torch.sum)
+        return {
+            "position": qpos[:, self._root_qpos],
+            "velocity": velocities[:, :3],
+            "acceleration": rates[:, :3],
+            "rotation": rotation,
+            "euler": euler_from_matrix(rotation),
+            "angular_velocity": qvel[:, self._root_dof.stop : self._root_dof.stop + 3],
+            "joint_position": joints,
+            "joint_velocity": velocities[:, 3:end],
+            "joint_acceleration": rates[:, 3:end],
+            "torque": readout["torque"][:, self._actuators],
+            "torque_velocity": readout["torque_velocity"],
+            "foot_position": _by_foot(sensed[:, sensors["foot_position"]], self._foot_sizes, torch.mean),
+            "foot_force": foot_force,
+            "other_force": -sensed[:, sensors["robot_force"]] - foot_force.sum(-2),
+            "com": sensed[:, sensors["com"]],
+        }
+
+
+def single(values: Tensor) -> Tensor:
+    """Return a float32 copy, contiguous."""
+    return values.to(torch.float32, copy=True, memory_format=torch.contiguous_format)
+
+
+def _by_foot(values: Tensor, sizes: tuple[int, ...], reduce: Callable[..., Tensor]) -> Tensor:
+    """Reduce vectors of geoms, (n, 3 G), to those of feet that have so many geoms each, (n, 4, 3)."""
+    vectors = values.unflatten(-1, (-1, 3))
+    if len(sizes) == vectors.shape[-2]:
+        return vectors
+    return torch.stack([reduce(foot, -2) for foot in vectors.split(sizes, -2)], -2)

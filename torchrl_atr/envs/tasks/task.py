@@ -1,0 +1,135 @@
+"""``Task``: what is observed, rewarded, randomised, reset and ended, as data that an env reads once."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from tensordict import NestedKey
+
+from torchrl_atr._errors import InputError
+from torchrl_atr._registry import nearest
+from torchrl_atr.envs.models.robot import RobotSpec
+from torchrl_atr.envs.models.support import Support
+from torchrl_atr.envs.physics.engine import Engine
+from torchrl_atr.envs.physics.hook import SubstepHook
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.tasks.events import Disturbance, Reset, Termination, stand
+from torchrl_atr.envs.tasks.intrinsic_parameters import IntrinsicParameter
+from torchrl_atr.envs.tasks.memory_terms import MemoryTerm
+from torchrl_atr.envs.tasks.mirrors import Mirror
+from torchrl_atr.envs.tasks.observation_terms import Group
+from torchrl_atr.envs.tasks.reward_terms import RewardTerm
+from torchrl_atr.envs.tasks.state import StateReader
+
+
+@dataclass(frozen=True)
+class CommandSpace:
+    """What a command asks for.
+
+    Attributes:
+        names: of its components.
+        units: of them.
+        bounds: largest magnitude of each, in its unit.
+        initial: half widths of the box that a curriculum starts with.
+        mirror: signs of the mirror image.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    bounds: tuple[float, ...]
+    initial: tuple[float, ...]
+    mirror: Mirror | None = None
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task: read by :class:`~torchrl_atr.envs.QuadrupedEnv` and :func:`~torchrl_atr.envs.suite.load_task` once.
+
+    Attributes:
+        name: of the task.
+        robot: who does it.
+        support: what it stands on.
+        command: what is asked for.
+        observations: by key, the terms that are concatenated there. ``proprio`` is needed; it and the command make up
+            ``observation``. ``("privileged", "extrinsic")`` is what the extrinsic estimator estimates, ``speeds`` what
+            answers the command, component by component.
+        rewards: the terms of the reward by name. One called ``termination`` scores early terminations; failed
+            simulations cost it.
+        intrinsics: what is drawn for every episode: ``("privileged", "intrinsic")``.
+        terminations: what ends an episode early, by name.
+        reset: how episodes begin.
+        disturbances: what happens again and again, by name.
+        memory: what is carried from step to step, by name.
+        tracking: reward terms that a command curriculum scores, one for each component of the command.
+        state_reader: what makes a state of an engine's tensors.
+        hook: makes what acts before every substep, of an engine; None for nothing.
+        readings: how the paper's open questions are answered.
+        reward_schedule: factors by which a learner multiplies terms of the reward, by the term's name, as functions of
+            the progress of training in [0, 1]. The env's rewards are those of :attr:`rewards` throughout.
+        arguments: plain values with which :func:`~torchrl_atr.envs.tasks.make_task` makes a task of the same name and
+            scene again; empty for one that it does not know.
+
+    A term is added, dropped or changed by :meth:`replace`.
+
+    Example:
+        >>> from torchrl_atr.envs.tasks import RewardTerm, riding
+        >>> task = riding("a1", "single_board")
+        >>> slow = RewardTerm(lambda context: context.state.speeds[:, 0].abs(), weight=-0.1)
+        >>> "slow" in task.replace(rewards={**task.rewards, "slow": slow}).rewards
+        True
+    """
+
+    name: str
+    robot: RobotSpec
+    support: Support
+    command: CommandSpace
+    observations: Mapping[NestedKey, Group]
+    rewards: Mapping[str, RewardTerm]
+    intrinsics: Mapping[str, IntrinsicParameter] = field(default_factory=dict)
+    terminations: Mapping[str, Termination] = field(default_factory=dict)
+    reset: Reset = stand
+    disturbances: Mapping[str, Disturbance] = field(default_factory=dict)
+    memory: Mapping[str, MemoryTerm] = field(default_factory=dict)
+    tracking: Sequence[str] = ()
+    state_reader: type[StateReader] = StateReader
+    hook: Callable[[Engine], SubstepHook] | None = None
+    readings: Readings = field(default_factory=Readings)
+    reward_schedule: Mapping[str, Callable[[float], float]] = field(default_factory=dict)
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if "proprio" not in self.observations:
+            raise InputError(f"task {self.name!r}: observations lack 'proprio'; give its terms")
+        if unknown := set(self.reward_schedule) - set(self.rewards):
+            raise InputError(
+                f"task {self.name!r}: reward_schedule names {sorted(unknown)[0]!r}, which is no reward term"
+            )
+
+    def replace(self, **fields: Any) -> Task:
+        """Return the task with some fields replaced.
+
+        Raises:
+            TypeError: for a name that is no field.
+        """
+        known = [each.name for each in dataclasses.fields(self)]
+        for name in fields:
+            if name not in known:
+                raise TypeError(f"a Task has no field {name!r}; {nearest(name, known)}")
+        return dataclasses.replace(self, **fields)
+
+    def with_observation(self, key: NestedKey, **terms: Any) -> Task:
+        """Return the task with observation terms added to the group ``key``, or replaced there.
+
+        Example:
+            >>> from torchrl_atr.envs.tasks import ObservationTerm, riding
+            >>> height = ObservationTerm(lambda context: context.state.position[:, 2:], mirror=(1.0,))
+            >>> list(riding().with_observation("proprio", height=height).observations["proprio"])[-1]
+            'height'
+        """
+        return self.replace(observations={**self.observations, key: {**self.observations.get(key, {}), **terms}})

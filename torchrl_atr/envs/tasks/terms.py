@@ -1,0 +1,156 @@
+"""The terms of a task on N robots: from what an engine holds to rewards, terminations and observations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from tensordict import NestedKey
+from torch import Tensor
+
+from torchrl_atr._compilation import compile_methods
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs.tasks import memory_terms
+from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.finite import all_finite
+from torchrl_atr.envs.tasks.observation_terms import Observations
+from torchrl_atr.envs.tasks.reward_terms import RewardFunction
+from torchrl_atr.envs.tasks.state import QuadrupedState, Readout, StateReader
+from torchrl_atr.envs.tasks.task import Task
+
+Observed = dict[NestedKey, Tensor]
+Memory = dict[str, Tensor]
+
+
+@dataclass
+class StepOutcome:
+    """What a control step led to.
+
+    Attributes:
+        reward: (N, 1).
+        terms: the weighted reward terms by name, (N, 1) each.
+        terminated: (N,) bool.
+        observed: observations by key, (N, features) each, by key.
+        finite: whether all of these are numbers, () bool.
+    """
+
+    reward: Tensor
+    terms: dict[str, Tensor]
+    terminated: Tensor
+    observed: Observed
+    finite: Tensor
+
+
+class TaskTerms:
+    """A task's terms, tried once, and what they come to; its methods are functions of their arguments alone.
+
+    Args:
+        task: whose terms they are.
+        reader: of states.
+        compiled: whether :meth:`first` and :meth:`evaluate` are compiled (``compile_methods``).
+
+    Attributes:
+        rewards: the terms, and their sum.
+        observations: the groups of terms.
+        no_memory: the memory of robots that stand, by name, (N, size) each.
+
+    Raises:
+        InputError: names a term that cannot be used.
+    """
+
+    def __init__(self, task: Task, reader: StateReader, compiled: bool = False) -> None:
+        self.task, self.reader, self.compiled = task, reader, compiled
+        self.scene = reader.engine.scene
+        self.joints = len(self.scene.robot.joints)
+        n = reader.engine.num_envs
+        idle = torch.zeros(n, self.joints, dtype=torch.float32)
+        context = self._context(reader.read(), torch.zeros(n, len(task.command), dtype=torch.float32), idle, idle, {})
+        memory_terms.check(task.memory, context)
+        context.memory = self.no_memory = memory_terms.started(task.memory, context)
+        for name, termination in task.terminations.items():
+            _try_termination(name, termination, context)
+        self.rewards = RewardFunction(task.rewards, context, task.tracking)
+        self.observations = Observations(task.observations, context)
+        self._compile()
+
+    def _compile(self) -> None:
+        if self.compiled:
+            compile_methods(self, "evaluate", short=True)
+            compile_methods(self, "first", short=True, any_rows=True)  # any number of robots begins
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but compiled functions, which cannot be pickled: a copy compiles its own."""
+        return {name: value for name, value in vars(self).items() if name not in ("evaluate", "first")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._compile()
+
+    def _context(
+        self,
+        state: QuadrupedState,
+        command: Tensor,
+        action: Tensor,
+        previous_action: Tensor,
+        memory: Memory,
+        terminated: Tensor | None = None,
+    ) -> StepContext:
+        none = torch.zeros(len(command), dtype=torch.bool) if terminated is None else terminated
+        return StepContext(state, command, action, previous_action, none, self.scene, self.task.readings, memory)
+
+    def first(self, readout: Readout, command: Tensor, x_int: Tensor) -> tuple[Observed, Tensor, Memory]:
+        """Return observations, velocities and memory of episodes that start: a function of the arguments alone."""
+        state, velocities = self.reader.interpret(readout, None)
+        action = torch.zeros(len(x_int), self.joints, dtype=torch.float32)
+        context = self._context(state, command, action, action, {})
+        context.memory = memory = memory_terms.started(self.task.memory, context)
+        return self._observed(context, x_int), velocities, memory
+
+    def evaluate(
+        self,
+        readout: Readout,
+        velocities: Tensor,
+        action: Tensor,
+        previous_action: Tensor,
+        memory: Memory,
+        command: Tensor,
+        x_int: Tensor,
+        diverged: Tensor,
+    ) -> tuple[StepOutcome, Tensor, Memory]:
+        """Return outcome, velocities and memory: a function of the arguments alone, which can be compiled."""
+        state, velocities = self.reader.interpret(readout, velocities)
+        context = self._context(state, command, action, previous_action, memory, diverged)
+        context.memory = memory = memory_terms.updated(self.task.memory, context)
+        finite = torch.isfinite(state.position.sum(-1) + state.joint_velocity.sum(-1))
+        ended = [diverged, ~finite, *(termination(context) for termination in self.task.terminations.values())]
+        context.terminated = torch.stack(ended).any(0)
+        reward, terms = self.rewards(context)
+        observed = self._observed(context, x_int)
+        finite = all_finite([*observed.values(), terms, reward])
+        named = dict(zip(self.rewards.terms, terms.unbind()))
+        return StepOutcome(reward, named, context.terminated, observed, finite), velocities, memory
+
+    def observe(self, command: Tensor, action: Tensor, memory: Memory, x_int: Tensor) -> Observed:
+        """Return what all robots observe now, by key, (N, features) each, raw SI units."""
+        return self._observed(self._context(self.reader.read(), command, action, action, memory), x_int)
+
+    def _observed(self, context: StepContext, x_int: Tensor) -> Observed:
+        groups = self.observations(context)
+        return with_command({**groups, "command": context.command.clone(), ("privileged", "intrinsic"): x_int})
+
+
+def with_command(observed: Observed) -> Observed:
+    """Add ``observation``: o_t is ``proprio`` and the command."""
+    return {**observed, "observation": torch.cat([observed["proprio"], observed["command"]], -1)}
+
+
+def _try_termination(name: str, termination: Any, context: StepContext) -> None:
+    try:
+        value = termination(context)
+    except Exception as error:  # of the user's function
+        raise InputError(f"the termination {name!r} failed: {type(error).__name__}: {error}") from error
+    expected = tuple(context.terminated.shape)
+    if not isinstance(value, Tensor) or tuple(value.shape) != expected or value.dtype != torch.bool:
+        got = f"{tuple(value.shape)} of {value.dtype}" if isinstance(value, Tensor) else type(value).__name__
+        raise InputError(f"the termination {name!r} returned {got}; it must return bool of shape {expected}")
