@@ -19,7 +19,7 @@ from torchrl_atr.envs.models import (
 )
 from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardError, RewardTerm, Task, make_task, riding
+from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardError, RewardTerm, Task, make_task, riding, walking
 
 __all__ = [
     "PROFILES",
@@ -48,4 +48,5 @@ __all__ = [
     "read_transporter",
     "register_robot",
     "riding",
+    "walking",
 ]

@@ -66,7 +66,7 @@ def make_env(
         stagger: if positive, the robots' first episodes end at different times, and the limit is looked at in every so
             many steps (for training): see :class:`~torchrl_atr.envs.transforms.StaggeredCounter`.
         window: control steps that a command lasts (5 s at 50 Hz).
-        grid: the curriculum's cells and update rule; None for the task's bounds and the paper's rule.
+        grid: the curriculum's cells and update rule; None for the task's.
         runaway_margin: end episodes of robots faster than any command by this much, in the units of the command (for
             training).
         stored_once: whether collected steps hold the history at the root alone, and reward terms in ``next`` alone (for
@@ -89,8 +89,11 @@ def make_env(
     env = QuadrupedEnv(
         task, num_envs, physics, randomization, num_threads, failed_episode_replay, seed, dump_dir, compiled
     )
-    if grid is None:
-        grid = CommandGrid(bounds=_pair(task, "bounds"), initial=_pair(task, "initial"))
+    if grid is None and (grid := task.command.grid) is None:
+        raise InputError(
+            f"the command of task {task.name!r} has no grid to be drawn from; give it one, or put the transforms of "
+            "your choice around a QuadrupedEnv"
+        )
     transforms = task_transforms(
         _tracking_max(env),
         history_length=history_length,
@@ -137,16 +140,6 @@ def make_riding_env(
     own = {name: arguments.pop(name) for name in list(arguments) if name in of_the_task}
     _check_arguments(arguments, make_riding_env, riding, make_env)
     return make_env(riding(robot, transporter, **own), num_envs, **arguments)
-
-
-def _pair(task: Task, name: str) -> tuple[float, float]:
-    values = getattr(task.command, name)
-    if len(values) != 2:
-        raise InputError(
-            f"task {task.name!r} has a command of {len(values)} components; the command curriculum draws two: put the "
-            "transforms of your choice around a QuadrupedEnv"
-        )
-    return values
 
 
 def _tracking_max(env: QuadrupedEnv) -> tuple[float, ...]:

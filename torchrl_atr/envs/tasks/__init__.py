@@ -10,10 +10,12 @@ from torchrl_atr.envs.tasks.reward_terms import RewardError, RewardTerm
 from torchrl_atr.envs.tasks.riding import RIDING_REWARDS, riding
 from torchrl_atr.envs.tasks.state import QuadrupedState, StateReader
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
+from torchrl_atr.envs.tasks.walking import WALKING_REWARDS, walking
 
 __all__ = [
     "RIDING_REWARDS",
     "TASKS",
+    "WALKING_REWARDS",
     "CommandSpace",
     "Disturbance",
     "InitialState",
@@ -31,4 +33,5 @@ __all__ = [
     "Task",
     "make_task",
     "riding",
+    "walking",
 ]

@@ -100,3 +100,13 @@ def stand(scene: Scene, command: Tensor, generator: torch.Generator) -> InitialS
     qpos[:, joints] += JOINT_SPREAD * (2.0 * draw[:, 1:] - 1.0)
     qvel = torch.zeros(n, scene.model.nv, dtype=torch.float64)
     return InitialState(qpos, qvel, torch.zeros(n, dtype=torch.bool))
+
+
+def tilted(c: StepContext) -> Tensor:
+    """Body roll or pitch beyond the limit (A34), (N,)."""
+    return (c.state.euler[:, :2].abs() > c.readings.tilt_limit).any(-1)
+
+
+def too_low(c: StepContext) -> Tensor:
+    """Body too low over the support, (N,)."""
+    return c.state.position[:, 2] - c.scene.support.height < c.robot.min_height

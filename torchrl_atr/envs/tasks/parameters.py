@@ -1,12 +1,21 @@
-"""How intrinsic parameters that any robot has reach the compiled model (Table II's first half)."""
+"""Table II's rows that are about the robot and its feet: their ranges, and how they reach the model."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import torch
 from torch import Tensor
 
+from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import ModelFields
+from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.tasks import mirrors
+from torchrl_atr.envs.tasks.intrinsic_parameters import Apply, IntrinsicParameter
+
+TABLE_II_KP, TABLE_II_KD = 40.0, 1.0
+"""Midpoints of Table II's ranges, N m/rad and N m s/rad, for every robot if A13 is read literally."""
 
 
 def payload(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
@@ -43,3 +52,32 @@ def scale_body(fields: ModelFields, rows: Tensor, body: int, scale: Tensor) -> N
     """Multiply a body's mass and inertia by a factor, (n,)."""
     fields["body_mass"][rows, body] *= scale
     fields["body_inertia"][rows, body] *= scale[:, None]
+
+
+def scaled(
+    function: Apply, unit: float | Tensor, fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene
+) -> None:
+    """Apply a parameter whose values are ratios to a nominal of robot or transporter."""
+    function(fields, rows, value * unit, scene)
+
+
+def robot_parameters(robot: RobotSpec, readings: Readings) -> dict[str, IntrinsicParameter]:
+    """Return Table II's rows that are about the robot and its feet, by name in its order.
+
+    Args:
+        robot: its nominal gains.
+        readings: what the ranges of the PD gains mean (A13).
+    """
+    stiffness, damping = (robot.kp, robot.kd) if readings.gains_as_ratios else (TABLE_II_KP, TABLE_II_KD)
+    gain = mirrors.joint_gains
+    return {
+        "payload": IntrinsicParameter(payload, (0.0, 1.0), (0.0, 3.0), 0.0),
+        "com_shift": IntrinsicParameter(com_shift, (-0.2, 0.2), (-0.25, 0.25), 0.0, 3, mirrors.POLAR),
+        "kp": IntrinsicParameter(
+            partial(scaled, kp, stiffness), (0.9, 1.1), (0.8, 1.2), 1.0, "joints", mirrors.joint_gains
+        ),
+        "kd": IntrinsicParameter(
+            partial(scaled, kd, damping), (0.8, 1.2), (0.6, 1.4), 1.0, "joints", mirrors.joint_gains
+        ),
+        "friction": IntrinsicParameter(friction, (0.8, 1.2), (0.7, 1.5), 1.0),
+    }

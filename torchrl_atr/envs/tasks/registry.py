@@ -10,10 +10,12 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._registry import Registry, nearest
 from torchrl_atr.envs.tasks.riding import riding
 from torchrl_atr.envs.tasks.task import Task
+from torchrl_atr.envs.tasks.walking import walking
 
 TASKS: Registry[Callable[..., Task]] = Registry("task")
 """Functions that return a :class:`~torchrl_atr.envs.tasks.Task`, by name; register your own."""
 TASKS.register("riding", riding)
+TASKS.register("walking", walking)
 
 
 def make_task(name: str, **arguments: Any) -> Task:

@@ -129,6 +129,10 @@ class StateReader:
         rates = torch.zeros_like(now) if previous is None else (now - previous) / CONTROL_DT
         return self.state_type(**self.parts(readout, now, rates)), now
 
+    def foot_positions(self, readout: Readout) -> Tensor:
+        """Return where the feet are, (n, 4, 3)."""
+        return _by_foot(readout["sensed"][:, self._sensors["foot_position"]], self._foot_sizes, torch.mean)
+
     def parts(self, readout: Readout, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
         """Return the fields of the state.
 
@@ -155,7 +159,7 @@ class StateReader:
             "joint_acceleration": rates[:, 3:end],
             "torque": readout["torque"][:, self._actuators],
             "torque_velocity": readout["torque_velocity"],
-            "foot_position": _by_foot(sensed[:, sensors["foot_position"]], self._foot_sizes, torch.mean),
+            "foot_position": self.foot_positions(readout),
             "foot_force": foot_force,
             "other_force": -sensed[:, sensors["robot_force"]] - foot_force.sum(-2),
             "com": sensed[:, sensors["com"]],

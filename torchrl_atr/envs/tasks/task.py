@@ -23,24 +23,24 @@ from torchrl_atr.envs.tasks.mirrors import Mirror
 from torchrl_atr.envs.tasks.observation_terms import Group
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
 from torchrl_atr.envs.tasks.state import StateReader
+from torchrl_atr.envs.transforms.grid import CommandGrid
 
 
 @dataclass(frozen=True)
 class CommandSpace:
-    """What a command asks for.
+    """What a command asks for, and how commands are drawn.
 
     Attributes:
         names: of its components.
         units: of them.
-        bounds: largest magnitude of each, in its unit.
-        initial: half widths of the box that a curriculum starts with.
-        mirror: signs of the mirror image.
+        grid: from which a curriculum draws them, and its bounds; None for a command that only the user's own transforms
+            draw.
+        mirror: its mirror image.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
-    bounds: tuple[float, ...]
-    initial: tuple[float, ...]
+    grid: CommandGrid | None = None
     mirror: Mirror | None = None
 
     def __len__(self) -> int:

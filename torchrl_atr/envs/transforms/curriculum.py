@@ -310,7 +310,7 @@ class CommandCurriculum(OwnGenerator):
         index = (rows & ~self.rows.pinned).nonzero()[:, 0]
         if len(index):
             # drawn on the CPU: the same commands on every device
-            uniforms = torch.rand(len(index), 1 + len(self.grid.bounds), generator=self._source(), dtype=torch.float64)
+            uniforms = torch.rand(len(index), self.grid.uniforms, generator=self._source(), dtype=torch.float64)
             commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
             self.rows.command.index_copy_(0, index, commands.to(self.rows.command.dtype))
             self.rows.cells.index_copy_(0, index, cells)

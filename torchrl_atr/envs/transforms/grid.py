@@ -40,6 +40,10 @@ class CommandGrid:
         increment: The paper's delta, added to each cell of the neighbourhood for each success, in (0, 1].
         count_own_twice: The ``ancestor`` reading of ``c + Delta``: the succeeding cell gains the increment
             twice.
+        forward_only: Whether no speed below zero is drawn.
+        still: Share of the draws that ask to stand still, whatever the weights; in [0, 1].
+        turning: Share that asks for a yaw rate alone.
+        straight: Share that asks for a speed alone.
 
     Raises:
         ValueError: A value is not positive and finite, or does not fit the grid.
@@ -56,6 +60,10 @@ class CommandGrid:
     expansion: tuple[float, float] = (0.2, 0.2)
     increment: float = 0.1
     count_own_twice: bool = False
+    forward_only: bool = False
+    still: float = 0.0
+    turning: float = 0.0
+    straight: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("bounds", "bin_size", "initial", "expansion"):
@@ -63,6 +71,11 @@ class CommandGrid:
             pair = check_pair(name, getattr(self, name), wanted, positive=name != "expansion")
             object.__setattr__(self, name, pair)
         check_flag("count_own_twice", self.count_own_twice)
+        check_flag("forward_only", self.forward_only)
+        for name in ("still", "turning", "straight"):
+            check_number(name, getattr(self, name), 0.0, 1.0)
+        if self.still + self.turning + self.straight > 1.0 + _TOLERANCE:
+            raise ValueError("still, turning and straight are shares of all draws; they add up to more than 1")
         if not 0 < check_number("increment", self.increment) <= 1:
             raise ValueError(f"increment must be in (0, 1], got {self.increment}")
         for axis, (bound, size, initial, reach) in enumerate(
@@ -104,7 +117,18 @@ class CommandGrid:
         weights = torch.zeros(self.shape, dtype=torch.float32)
         rows, columns = (slice(half - k, half + k + 1) for half, k in zip(self.half, inside))
         weights[rows, columns] = 1.0
-        return weights
+        return self._allowed(weights)
+
+    def _allowed(self, weights: Tensor) -> Tensor:
+        """Return the weights without those of speeds that are never drawn."""
+        if not self.forward_only:
+            return weights
+        return weights.index_fill(0, torch.arange(self.half[0], device=weights.device), 0.0)
+
+    @property
+    def uniforms(self) -> int:
+        """Uniform numbers that :meth:`sample` needs for a command."""
+        return 4 if self.still + self.turning + self.straight > 0.0 else 3
 
     def validate(self, weights: Tensor) -> Tensor:
         """Return ``weights`` if they are weights of this grid.
@@ -172,7 +196,7 @@ class CommandGrid:
 
         Args:
             weights: ``shape``, at least one of them positive.
-            uniforms: float64 ``(n, 3)`` in [0, 1): the cell, c_v and c_omega inside it.
+            uniforms: float64 ``(n, uniforms)`` in [0, 1): the cell, c_v and c_omega inside it, and what is asked for.
 
         Returns:
             Commands, float64 ``(n, 2)`` in m/s and rad/s, and their flat cell indices, int64 ``(n,)``.
@@ -183,7 +207,14 @@ class CommandGrid:
         target = torch.minimum(uniforms[:, 0] * total, torch.nextafter(total, torch.zeros_like(total)))
         cells = torch.searchsorted(cumulative, target, right=True)
         low, high = self._edges(cells)
-        return low + uniforms[:, 1:] * (high - low), cells
+        commands = low + uniforms[:, 1:3] * (high - low)
+        if self.uniforms == 3:
+            return commands, cells
+        kind = uniforms[:, 3]
+        ends = torch.tensor([self.still, self.turning, self.straight], dtype=torch.float64).cumsum(0).tolist()
+        no_speed, no_yaw_rate = kind < ends[1], (kind < ends[0]) | ((kind >= ends[1]) & (kind < ends[2]))
+        commands = commands.masked_fill(torch.stack([no_speed, no_yaw_rate], -1), 0.0)
+        return commands, self.cell_of(commands)
 
     def update(self, weights: Tensor, cells: Tensor) -> Tensor:
         """P_{K+1} from P_K: each success adds the increment to its neighbourhood, saturating at 1.
@@ -202,7 +233,7 @@ class CommandGrid:
         if self.count_own_twice:
             kernel[..., self.radius[0], self.radius[1]] += 1
         gain = functional.conv2d(counts, kernel, padding=self.radius)[0, 0]
-        return (weights.double() + self.increment * gain).clamp(max=1.0).to(weights.dtype)
+        return self._allowed((weights.double() + self.increment * gain).clamp(max=1.0).to(weights.dtype))
 
     def merge(self, weights: Tensor, other: Tensor) -> Tensor:
         """What two workers have learnt together: the elementwise maximum, as weights only ever rise."""
@@ -227,4 +258,7 @@ def _all_edges(grid: CommandGrid, device: torch.device) -> tuple[Tensor, Tensor]
     centres = grid.centres(torch.arange(math.prod(grid.shape), device=device))
     reach = torch.tensor(grid.bin_size, dtype=torch.float64, device=device) / 2
     bound = torch.tensor(grid.bounds, dtype=torch.float64, device=device)
-    return torch.maximum(centres - reach, -bound), torch.minimum(centres + reach, bound)
+    low = torch.maximum(centres - reach, -bound)
+    if grid.forward_only:
+        low[:, 0].clamp_(min=0.0)
+    return low, torch.minimum(centres + reach, bound)

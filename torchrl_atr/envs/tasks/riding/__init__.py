@@ -21,17 +21,17 @@ from torchrl_atr.envs.tasks.riding.resets import TERMINATIONS, push, start
 from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS
 from torchrl_atr.envs.tasks.riding.state import RidingStateReader
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
+from torchrl_atr.envs.transforms.grid import CommandGrid
 
 __all__ = ["RIDING_REWARDS", "TERMINATIONS", "riding"]
 
 COMMANDS = CommandSpace(
     names=("speed", "yaw_rate"),
     units=("m/s", "rad/s"),
-    bounds=(15.0, 2.0),
-    initial=(0.5, 0.3),
+    grid=CommandGrid(),
     mirror=mirrors.FORWARD_YAW,
 )
-"""(c_v, c_ω), the box that they are drawn from, and the one that the curriculum starts with."""
+"""(c_v, c_ω)."""
 
 
 def riding(

@@ -13,33 +13,11 @@ from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.models.transporter import Board, TransporterError, TransporterSpec
 from torchrl_atr.envs.physics.engine import ModelFields
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.tasks import mirrors, parameters
-from torchrl_atr.envs.tasks.intrinsic_parameters import Apply, IntrinsicParameter
+from torchrl_atr.envs.tasks.intrinsic_parameters import IntrinsicParameter
+from torchrl_atr.envs.tasks.parameters import robot_parameters, scale_body, scaled
 
-TABLE_II_KP, TABLE_II_KD = 40.0, 1.0
-"""Midpoints of Table II's ranges, N m/rad and N m s/rad, for every robot if A13 is read literally."""
 _MIN_MASS_SHARE = 0.1
 """A platform never gets lighter than this share of its nominal mass (A14)."""
-
-
-def robot_intrinsics(robot: RobotSpec, readings: Readings) -> dict[str, IntrinsicParameter]:
-    """Return Table II's rows that are about the robot and its feet, by name in its order.
-
-    Args:
-        robot: its nominal gains.
-        readings: what the ranges of the PD gains mean (A13).
-    """
-    stiffness, damping = (robot.kp, robot.kd) if readings.gains_as_ratios else (TABLE_II_KP, TABLE_II_KD)
-    kp, kd = (
-        partial(_scaled, function, unit) for function, unit in ((parameters.kp, stiffness), (parameters.kd, damping))
-    )
-    return {
-        "payload": IntrinsicParameter(parameters.payload, (0.0, 1.0), (0.0, 3.0), 0.0),
-        "com_shift": IntrinsicParameter(parameters.com_shift, (-0.2, 0.2), (-0.25, 0.25), 0.0, 3, mirrors.POLAR),
-        "kp": IntrinsicParameter(kp, (0.9, 1.1), (0.8, 1.2), 1.0, "joints", mirrors.joint_gains),
-        "kd": IntrinsicParameter(kd, (0.8, 1.2), (0.6, 1.4), 1.0, "joints", mirrors.joint_gains),
-        "friction": IntrinsicParameter(parameters.friction, (0.8, 1.2), (0.7, 1.5), 1.0),
-    }
 
 
 def riding_intrinsics(
@@ -52,7 +30,7 @@ def riding_intrinsics(
         transporter: its nominal mass and springs.
         readings: the self-balancing gains' unit and scale (A12), the PD gains' (A13).
     """
-    own = robot_intrinsics(robot, readings)
+    own = robot_parameters(robot, readings)
     friction = own.pop("friction")
     stiffness, damping = (torch.from_numpy(values) for values in transporter.springs(readings))
     springs = (0.8 / 1.15, 1.5 / 1.15), (0.5 / 1.15, 2.0 / 1.15)
@@ -60,16 +38,9 @@ def riding_intrinsics(
         **own,
         "platform_mass": IntrinsicParameter(_platform_mass, (-0.5, 0.5), (-1.0, 1.0), 0.0),
         "friction": friction,
-        "sb_stiffness": IntrinsicParameter(partial(_scaled, _stiffness, stiffness), *springs, 1.0, 2, _sides),
-        "sb_damping": IntrinsicParameter(partial(_scaled, _damping, damping), (0.8, 1.2), (0.4, 2.0), 1.0, 2, _sides),
+        "sb_stiffness": IntrinsicParameter(partial(scaled, _stiffness, stiffness), *springs, 1.0, 2, _sides),
+        "sb_damping": IntrinsicParameter(partial(scaled, _damping, damping), (0.8, 1.2), (0.4, 2.0), 1.0, 2, _sides),
     }
-
-
-def _scaled(
-    function: Apply, unit: float | Tensor, fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene
-) -> None:
-    """Apply a parameter whose values are ratios to a nominal of robot or transporter."""
-    function(fields, rows, value * unit, scene)
 
 
 def _platform_mass(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
@@ -77,7 +48,7 @@ def _platform_mass(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scen
     nominal = scene.support.spec.mass
     share = (nominal + value[:, 0]).clamp_min(_MIN_MASS_SHARE * nominal) / nominal
     for body in scene.support_layout.board_bodies:
-        parameters.scale_body(fields, rows, int(body), share)
+        scale_body(fields, rows, int(body), share)
 
 
 def _stiffness(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:

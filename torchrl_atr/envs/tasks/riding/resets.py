@@ -11,7 +11,16 @@ from torch import Tensor
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.context import StepContext
-from torchrl_atr.envs.tasks.events import ROBOT_PUSH, InitialState, Reset, Termination, stand, uniform
+from torchrl_atr.envs.tasks.events import (
+    ROBOT_PUSH,
+    InitialState,
+    Reset,
+    Termination,
+    stand,
+    tilted,
+    too_low,
+    uniform,
+)
 
 PLATFORM_PUSH = (0.5, 0.25)
 """Largest change of the platform's forward speed (m/s) and yaw rate (rad/s) (A33)."""
@@ -60,22 +69,10 @@ def _start(moving_start: float, scene: Scene, command: Tensor, generator: torch.
     return InitialState(qpos, qvel, (speeds != 0.0).any(-1))
 
 
-def tilted(c: StepContext) -> Tensor:
-    """Body roll or pitch beyond the limit, (N,)."""
-    return (c.state.euler[:, :2].abs() > c.readings.tilt_limit).any(-1)
-
-
 def off_the_boards(c: StepContext) -> Tensor:
     """Body centre beyond the boards, (N,)."""
     length, width = c.scene.support.size
     return (c.state.relative_position.abs() > c.action.new_tensor([length / 2, width / 2])).any(-1)
-
-
-def too_low(c: StepContext) -> Tensor:
-    """Body too low over the boards' top, (N,)."""
-    thickness = c.scene.support.spec.size[2]
-    height = c.state.position[:, 2] - c.state.platform_position[:, 2] - thickness / 2
-    return height < c.robot.min_height
 
 
 TERMINATIONS: Mapping[str, Termination] = {"tilted": tilted, "off_the_boards": off_the_boards, "too_low": too_low}

@@ -1,0 +1,120 @@
+"""Walking: a quadruped on flat ground follows forward-speed and yaw-rate commands (the legged baseline)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor, cat
+
+from torchrl_atr._checks import check_flag, check_number
+from torchrl_atr.envs.models import FlatGround, RobotSpec, get_robot
+from torchrl_atr.envs.models.robot_file import describe_robot
+from torchrl_atr.envs.profiles import Readings, get_readings
+from torchrl_atr.envs.tasks import mirrors
+from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.events import PUSH_INTERVAL, Disturbance, push_robot, tilted, too_low
+from torchrl_atr.envs.tasks.observation_terms import ObservationTerm
+from torchrl_atr.envs.tasks.parameters import robot_parameters
+from torchrl_atr.envs.tasks.proprioception import LEG_NAMES, ODOMETRY, PROPRIO, body_velocity, contacts
+from torchrl_atr.envs.tasks.reward_terms import RewardTerm
+from torchrl_atr.envs.tasks.task import CommandSpace, Task
+from torchrl_atr.envs.tasks.walking.gait import CLOCK_MIRROR, MEMORY, clock
+from torchrl_atr.envs.tasks.walking.rewards import WALKING_REWARDS
+from torchrl_atr.envs.tasks.walking.state import WalkingStateReader
+from torchrl_atr.envs.transforms.grid import CommandGrid
+
+__all__ = ["WALKING_REWARDS", "walking"]
+
+MAX_SPEED = {"G1": 1.5, "G2": 3.0}
+"""Largest commanded speed of small and large robots, m/s."""
+
+
+def walking(
+    robot: str | Path | RobotSpec = "a1",
+    *,
+    profile: str | Readings = "default",
+    pushes: bool = True,
+    max_speed: float | None = None,
+    rewards: Mapping[str, RewardTerm] = WALKING_REWARDS,
+    reward_schedule: Mapping[str, Callable[[float], float]] | None = None,
+) -> Task:
+    """Return the walking task.
+
+    Args:
+        robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
+        profile: name of a profile, or :class:`~torchrl_atr.envs.profiles.Readings`.
+        pushes: whether the robot is pushed every 3 s.
+        max_speed: largest commanded speed, m/s; None for 1.5 or, of large robots, 3.
+        rewards: the terms of the reward by name.
+        reward_schedule: see :class:`~torchrl_atr.envs.tasks.task.Task`.
+
+    Raises:
+        UnknownNameError: for an unknown robot or profile.
+
+    Example:
+        >>> task = walking("go1")
+        >>> task.name, task.command.grid.bounds
+        ('walking', (1.5, 1.0))
+    """
+    check_flag("pushes", pushes)
+    readings, walker = get_readings(profile), get_robot(robot)
+    speed = MAX_SPEED[walker.group] if max_speed is None else check_number("max_speed", max_speed, above=0.0)
+    bounds = (speed, 1.0)
+    grid = CommandGrid(
+        bounds, (0.25, 0.25), bounds, (0.25, 0.25), forward_only=True, still=0.1, turning=0.1, straight=0.15
+    )
+    arguments: dict[str, Any] = {"robot": describe_robot(robot)}
+    return Task(
+        name="walking",
+        robot=walker,
+        support=FlatGround(),
+        command=CommandSpace(("speed", "yaw_rate"), ("m/s", "rad/s"), grid, mirrors.FORWARD_YAW),
+        observations={
+            "proprio": {**PROPRIO, "clock": ObservationTerm(clock, CLOCK_MIRROR)},
+            "speeds": {"speeds": ObservationTerm(_speeds, mirrors.FORWARD_YAW)},
+            "odometry": {"odometry": ObservationTerm(_odometry, mirrors.POLAR, unit="m/s")},
+            ("privileged", "extrinsic"): {
+                "contacts": ObservationTerm(contacts, mirrors.legs, "contact", LEG_NAMES, "1"),
+                "body_velocity": ObservationTerm(body_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
+            },
+            ("privileged", "outlook"): {
+                "errors": ObservationTerm(_errors, (*mirrors.FORWARD_YAW, -1.0, 1.0), unit="m/s"),
+                "foot_height": ObservationTerm(_foot_height, mirrors.legs, parts=LEG_NAMES, unit="m"),
+                "air_time": ObservationTerm(_air_time, mirrors.legs, parts=LEG_NAMES, unit="s"),
+            },
+        },
+        rewards=rewards,
+        intrinsics=robot_parameters(walker, readings),
+        terminations={"tilted": tilted, "too_low": too_low},
+        disturbances={"push": Disturbance(push_robot, PUSH_INTERVAL)} if pushes else {},
+        memory={"odometry": ODOMETRY, **MEMORY},
+        tracking=("forward_command", "turning_command"),
+        state_reader=WalkingStateReader,
+        readings=readings,
+        reward_schedule=reward_schedule or {},
+        arguments=arguments,
+    )
+
+
+def _speeds(c: StepContext) -> Tensor:
+    return c.state.speeds
+
+
+def _odometry(c: StepContext) -> Tensor:
+    return c.memory["odometry"]
+
+
+def _errors(c: StepContext) -> Tensor:
+    """Errors of speed and yaw rate, speed to the side, height, (N, 4)."""
+    state = c.state
+    return cat([state.speeds - c.command, state.lateral_speed.unsqueeze(-1), state.height.unsqueeze(-1)], -1)
+
+
+def _foot_height(c: StepContext) -> Tensor:
+    return c.state.foot_height
+
+
+def _air_time(c: StepContext) -> Tensor:
+    return c.memory["air_time"]

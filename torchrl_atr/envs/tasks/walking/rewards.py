@@ -1,0 +1,141 @@
+"""What walking is rewarded for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import torch
+from torch import Tensor
+
+from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.reward_terms import TERMINATION, RewardTerm
+from torchrl_atr.envs.tasks.state import CONTACT_THRESHOLD
+from torchrl_atr.envs.tasks.tracking import tracking_kernel
+from torchrl_atr.envs.tasks.walking.gait import gait, moving
+
+
+def forward_command(c: StepContext) -> Tensor:
+    """exp(-|v - c_v| / 0.5)."""
+    return tracking_kernel(c.state.speeds[:, 0] - c.command[:, 0])
+
+
+def turning_command(c: StepContext) -> Tensor:
+    """exp(-|ω - c_ω| / 0.5)."""
+    return tracking_kernel(c.state.speeds[:, 1] - c.command[:, 1])
+
+
+def speed_error(c: StepContext) -> Tensor:
+    """|v - c_v|: a slope where the kernel has none."""
+    return (c.state.speeds[:, 0] - c.command[:, 0]).abs()
+
+
+def lateral_speed(c: StepContext) -> Tensor:
+    """Square of the speed to the side."""
+    return c.state.lateral_speed.square()
+
+
+def vertical_speed(c: StepContext) -> Tensor:
+    """Square of the vertical speed."""
+    return c.state.velocity[:, 2].square()
+
+
+def rolling_and_pitching(c: StepContext) -> Tensor:
+    """‖ω_B,xy‖²."""
+    return c.state.angular_velocity[:, :2].square().sum(-1)
+
+
+def orientation(c: StepContext) -> Tensor:
+    """‖θ_B,xy‖²."""
+    return c.state.euler[:, :2].square().sum(-1)
+
+
+def height(c: StepContext) -> Tensor:
+    """(h - h_des)²."""
+    return (c.state.height - c.robot.standing_height).square()
+
+
+def joint_torque(c: StepContext) -> Tensor:
+    """‖τ‖²."""
+    return c.state.torque.square().sum(-1)
+
+
+def joint_power(c: StepContext) -> Tensor:
+    """Σ max(τ_j q̇_j, 0), both of the same instant."""
+    return (c.state.torque * c.state.torque_velocity).clamp_min(0.0).sum(-1)
+
+
+def joint_acceleration(c: StepContext) -> Tensor:
+    """‖q̈‖²."""
+    return c.state.joint_acceleration.square().sum(-1)
+
+
+def action_rate(c: StepContext) -> Tensor:
+    """‖a_t - a_{t-1}‖²."""
+    return (c.action - c.previous_action).square().sum(-1)
+
+
+def abduction(c: StepContext) -> Tensor:
+    """‖q - q0‖² of the abduction joints."""
+    return _deviation(c)[:, ::3].square().sum(-1)
+
+
+def posture(c: StepContext) -> Tensor:
+    """‖q - q0‖²."""
+    return _deviation(c).square().sum(-1)
+
+
+def standing_posture(c: StepContext) -> Tensor:
+    """‖q - q0‖² while the robot is to stand still."""
+    return posture(c) * (1.0 - moving(c))
+
+
+def standing_feet(c: StepContext) -> Tensor:
+    """Feet in the air while the robot is to stand still."""
+    return (1.0 - c.state.contacts).sum(-1) * (1.0 - moving(c))
+
+
+def slip(c: StepContext) -> Tensor:
+    """Squares of the horizontal speeds of feet that bear, Σ c_i ‖v_i,xy‖²."""
+    return (c.state.contacts * c.state.foot_velocity[..., :2].square().sum(-1)).sum(-1)
+
+
+def collision(c: StepContext) -> Tensor:
+    """[something other than a foot touches the ground]."""
+    return (c.state.other_force.norm(dim=-1) > CONTACT_THRESHOLD).to(c.action.dtype)
+
+
+def termination(c: StepContext) -> Tensor:
+    """[early termination]."""
+    return c.terminated.to(c.action.dtype)
+
+
+def _deviation(c: StepContext) -> Tensor:
+    return c.state.joint_position - torch.tensor(c.robot.q0, dtype=c.action.dtype)
+
+
+WALKING_REWARDS: Mapping[str, RewardTerm] = MappingProxyType(
+    {
+        "forward_command": RewardTerm(forward_command, 8.0),
+        "turning_command": RewardTerm(turning_command, 6.0),
+        "speed_error": RewardTerm(speed_error, -4.0),
+        "gait": RewardTerm(gait, 8.0),
+        "lateral_speed": RewardTerm(lateral_speed, -8.0),
+        "vertical_speed": RewardTerm(vertical_speed, -8.0),
+        "rolling_and_pitching": RewardTerm(rolling_and_pitching, -0.2),
+        "orientation": RewardTerm(orientation, -20.0),
+        "height": RewardTerm(height, -200.0),
+        "joint_torque": RewardTerm(joint_torque, -5e-4),
+        "joint_power": RewardTerm(joint_power, -0.005),
+        "joint_acceleration": RewardTerm(joint_acceleration, -5e-7),
+        "action_rate": RewardTerm(action_rate, -0.04),
+        "abduction": RewardTerm(abduction, -4.0),
+        "posture": RewardTerm(posture, -0.4),
+        "standing_posture": RewardTerm(standing_posture, -4.0),
+        "standing_feet": RewardTerm(standing_feet, -1.0),
+        "slip": RewardTerm(slip, -0.8),
+        "collision": RewardTerm(collision, -8.0),
+        TERMINATION: RewardTerm(termination, -50.0),
+    }
+)
+"""Terms by name, of a robot of an A1's size."""
