@@ -69,7 +69,6 @@ def robot_parameters(robot: RobotSpec, readings: Readings) -> dict[str, Intrinsi
         readings: what the ranges of the PD gains mean (A13).
     """
     stiffness, damping = (robot.kp, robot.kd) if readings.gains_as_ratios else (TABLE_II_KP, TABLE_II_KD)
-    gain = mirrors.joint_gains
     return {
         "payload": IntrinsicParameter(payload, (0.0, 1.0), (0.0, 3.0), 0.0),
         "com_shift": IntrinsicParameter(com_shift, (-0.2, 0.2), (-0.25, 0.25), 0.0, 3, mirrors.POLAR),
