@@ -3,7 +3,8 @@
 from torchrl_atr._threads import TorchThreads
 from torchrl_atr.training.assembly import DEPLOYED, load_run, make_env, make_policy, make_run_networks
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
-from torchrl_atr.training.config import ConfigError, TrainConfig
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_checks import ConfigError
 from torchrl_atr.training.config_io import make_config, read_config
 from torchrl_atr.training.guard import TrainingDiverged
 from torchrl_atr.training.learner import Learner

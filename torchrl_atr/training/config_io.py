@@ -12,7 +12,8 @@ from typing import Any
 from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
-from torchrl_atr.training.config import ConfigError, TrainConfig
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_checks import ConfigError
 from torchrl_atr.training.recipes import recipe_of
 
 

@@ -18,7 +18,8 @@ from torchrl_atr.modules import RidingNetworks, get_estimator
 from torchrl_atr.training.assembly import check_run_estimator, make_run_networks
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
 from torchrl_atr.training.collection import CollectionError
-from torchrl_atr.training.config import ConfigError, TrainConfig
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_checks import ConfigError
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.member import DUMPS, Member, assist, env_maker, make_member, torch_threads
 from torchrl_atr.training.progress import Progress
