@@ -125,8 +125,9 @@ def evaluate(arguments: argparse.Namespace) -> None:
             write_report(result, metrics, folder)
             if (arguments.run / "progress.csv").is_file():
                 figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
-            weights = state["curriculum"]["weights"]
-            figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
+            if state["curriculum"] is not None:
+                weights = state["curriculum"]["weights"]
+                figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
     say("\n".join([*headlines(metrics), *estimator_lines(metrics["estimator_errors"]), f"report in {output}"]))
 
 
@@ -136,7 +137,7 @@ def _checkpoint(arguments: argparse.Namespace) -> str | None:
     return BEST if arguments.checkpoint == "best" else None
 
 
-def _other_model(arguments: argparse.Namespace) -> dict[str, str]:
+def _other_model(arguments: argparse.Namespace) -> dict[str, Any]:
     """The env arguments that take the place of the run's robot or transporter, if any are asked for."""
     asked = {name: getattr(arguments, name) for name in ("robot", "transporter")}
     return {name: value for name, value in asked.items() if value is not None}

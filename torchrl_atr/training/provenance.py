@@ -7,6 +7,7 @@ import shlex
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -21,21 +22,23 @@ _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 def provenance(
     config: TrainConfig,
     run: Path,
-    model: str,
+    model: str | None,
     frames: int,
     seconds: float,
     start: Mapping[str, Any] | None = None,
+    parts: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """What ``run.json`` holds.
 
     Args:
         config: of the run.
         run: its folder, which paths in the command are relative to.
-        model: fingerprint of its robot on its transporter.
+        model: fingerprint of its robot on its transporter; None for an env that is not ours.
         frames: robot steps so far.
         seconds: of training so far, wall clock.
         start: of a run that began from another one: that one's ``run`` (its folder), ``config`` and ``provenance``,
             the last of which is what ``from`` holds.
+        parts: full names of the factories of the user's own, which the command cannot name.
     """
     origin = {} if start is None else {"from": {"run": start["run"], **start["provenance"]}}
     return {
@@ -46,6 +49,7 @@ def provenance(
         "minutes": round(seconds / 60, 2),
         **machine(config.device),
         **origin,
+        **({"parts": dict(parts)} if parts else {}),
     }
 
 
