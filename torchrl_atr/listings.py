@@ -103,7 +103,8 @@ def settings() -> Iterator[str]:
     """Every setting of a run (``--set NAME=VALUE``) with its default and range."""
     import dataclasses
 
-    from torchrl_atr.training.config import RANGES, TrainConfig
+    from torchrl_atr.training.config import TrainConfig
+    from torchrl_atr.training.ranges import RANGES
 
     rows = [["setting", "default", "range"]]
     for field in dataclasses.fields(TrainConfig):

@@ -18,6 +18,7 @@ from torchrl_atr.cli.printing import StepCounter, estimator_lines, headlines, re
 from torchrl_atr.listings import LISTINGS
 
 if TYPE_CHECKING:
+    from torchrl_atr.envs.transforms import CommandGrid
     from torchrl_atr.training import TrainConfig, Trainer
 
 
@@ -87,7 +88,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from functools import partial
 
     from torchrl_atr._threads import TorchThreads
-    from torchrl_atr.evaluation import command_grid, evaluate_tracking, figures, tracking_metrics, write_report
+    from torchrl_atr.evaluation import evaluate_tracking, figures, tracking_metrics, write_report
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
     output = _report_folder(arguments)
@@ -95,7 +96,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     imports = arguments.imports or ()
     config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), imports, num_envs=1, **other)
     env.close()
-    grid = command_grid(arguments.max_speed, arguments.max_yaw_rate, arguments.speed_step, arguments.yaw_rate_step)
+    grid = _commands(arguments, config.make_task().command.grid)
     with folder_for(output):
         with StepCounter("evaluating") as counter, TorchThreads(announce=counter.note) as threads:
 
@@ -125,9 +126,21 @@ def evaluate(arguments: argparse.Namespace) -> None:
             write_report(result, metrics, folder)
             if (arguments.run / "progress.csv").is_file():
                 figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
-            weights = state["curriculum"]["weights"]
-            figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
+            if state["curriculum"] is not None:
+                weights = state["curriculum"]["weights"]
+                figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
     say("\n".join([*headlines(metrics), *estimator_lines(metrics["estimator_errors"]), f"report in {output}"]))
+
+
+def _commands(arguments: argparse.Namespace, grid: CommandGrid | None) -> tuple[Any, Any]:
+    """Return the speeds and yaw rates to evaluate, within those of the task."""
+    from torchrl_atr.evaluation import command_grid
+
+    largest = 2.0 if grid is None else min(2.0, grid.bounds[0])
+    speed = largest if arguments.max_speed is None else arguments.max_speed
+    step = (1.0 if float(speed).is_integer() else 0.5) if arguments.speed_step is None else arguments.speed_step
+    speeds, yaw_rates = command_grid(speed, arguments.max_yaw_rate, step, arguments.yaw_rate_step)
+    return (speeds[speeds >= 0] if grid is not None and grid.forward_only else speeds), yaw_rates
 
 
 def _checkpoint(arguments: argparse.Namespace) -> str | None:
@@ -136,7 +149,7 @@ def _checkpoint(arguments: argparse.Namespace) -> str | None:
     return BEST if arguments.checkpoint == "best" else None
 
 
-def _other_model(arguments: argparse.Namespace) -> dict[str, str]:
+def _other_model(arguments: argparse.Namespace) -> dict[str, Any]:
     """The env arguments that take the place of the run's robot or transporter, if any are asked for."""
     asked = {name: getattr(arguments, name) for name in ("robot", "transporter")}
     return {name: value for name, value in asked.items() if value is not None}

@@ -14,6 +14,7 @@ from torchrl_atr.listings import LISTINGS
 
 DEFAULT_RUN = Path("runs/latest")
 SETTINGS = (
+    "task",
     "robot",
     "transporter",
     "profile",
@@ -101,8 +102,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _add_train(parser: argparse.ArgumentParser) -> None:
     # names match TrainConfig's fields, which convert and check; None means "as the config file or the default says"
+    parser.add_argument("--task", help="riding (the default), walking, or one of your own")
     parser.add_argument("--robot", help="a name, or a .toml file that describes one of your own")
-    parser.add_argument("--transporter", help="a name, or a .toml file that describes one of your own")
+    parser.add_argument("--transporter", help="of riding: a name, or a .toml file that describes one of your own")
     parser.add_argument("--profile", help="how the paper's open points are read")
     parser.add_argument("--estimator", help="a registered estimator")
     _add_import(parser)
@@ -141,9 +143,13 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", help="measure another one than it was trained with; needs --output")
     parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
     parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
-    parser.add_argument("--max-speed", type=_number(float, 0, 100), default=2.0, help="m/s")
+    parser.add_argument(
+        "--max-speed", type=_number(float, 0, 100), help="m/s; default: 2, or the task's if that is less"
+    )
     parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), default=1.0, help="rad/s")
-    parser.add_argument("--speed-step", type=_number(float, 0.001, 100), default=1.0, help="m/s; divides the range")
+    parser.add_argument(
+        "--speed-step", type=_number(float, 0.001, 100), help="m/s; divides the range; default: 1, or 0.5"
+    )
     parser.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), default=0.25, help="rad/s; likewise")
     parser.add_argument("--robots-per-command", type=_number(int, 1, 100_000), default=8)
 

@@ -149,6 +149,10 @@ class QuadrupedEnv(EnvBase):
         """Robots whose simulation, observations or rewards have failed so far; each ended its own episode."""
         return self.runner.num_diverged
 
+    @num_diverged.setter
+    def num_diverged(self, count: int) -> None:
+        self.runner.num_diverged = count
+
     @property
     def speeds(self) -> Tensor | None:
         """What answers the command now, component by component, (N, C); None if the task observes no ``speeds``."""

@@ -1,12 +1,23 @@
 """The recipe: configuration, trainer, learner, checkpoints and logs."""
 
 from torchrl_atr._threads import TorchThreads
-from torchrl_atr.training.assembly import DEPLOYED, load_run, make_env, make_policy, make_run_networks
+from torchrl_atr.training.assembly import (
+    DEPLOYED,
+    make_env,
+    make_policy,
+    make_reward_schedule,
+    make_run_loss,
+    make_run_networks,
+)
+from torchrl_atr.training.callbacks import Callback, Phase
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
-from torchrl_atr.training.config import ConfigError, TrainConfig
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_checks import ConfigError
 from torchrl_atr.training.config_io import make_config, read_config
 from torchrl_atr.training.guard import TrainingDiverged
 from torchrl_atr.training.learner import Learner
+from torchrl_atr.training.loading import load_run
+from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory
 from torchrl_atr.training.recipes import RECIPE_POINTS
 from torchrl_atr.training.restoring import run_config
 from torchrl_atr.training.team import Team, TeamError
@@ -15,9 +26,14 @@ from torchrl_atr.training.trainer import Trainer
 __all__ = [
     "DEPLOYED",
     "RECIPE_POINTS",
+    "Callback",
     "CheckpointError",
     "ConfigError",
+    "EnvFactory",
     "Learner",
+    "LossFactory",
+    "NetworksFactory",
+    "Phase",
     "Team",
     "TeamError",
     "TorchThreads",
@@ -29,6 +45,8 @@ __all__ = [
     "make_config",
     "make_env",
     "make_policy",
+    "make_reward_schedule",
+    "make_run_loss",
     "make_run_networks",
     "read_config",
     "run_config",

@@ -1,34 +1,35 @@
-"""From a configuration to its env and networks, and from a run folder back to both."""
+"""From a configuration to its env, networks, loss and schedules: the recipe's own parts of a run."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+import inspect
+from collections.abc import Callable
 from typing import Any
 
 from tensordict.nn import TensorDictSequential
-from torchrl.envs import TransformedEnv
+from torchrl.envs import EnvBase, TransformedEnv
 
+from torchrl_atr import envs
 from torchrl_atr._compilation import compile_methods
 from torchrl_atr._registry import import_modules
-from torchrl_atr.envs import make_riding_env
-from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.modules import EstimatorError, NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
+from torchrl_atr.envs.tasks import TASKS
+from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.sizes import estimator_sizes
-from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
+from torchrl_atr.objectives import ROAClipPPOLoss
 from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.restoring import check_model, deployed_weights, load_networks, run_config
+from torchrl_atr.training.env_access import attribute
 
 TOGETHER = 10
 """Time limits are looked at in every so many steps, a divisor of the default recipe's 250."""
-_TO_LOOK_AT: dict[str, Any] = {"compiled": False, "stagger": 0, "stored_once": False}
+LOADED: dict[str, Any] = {"compiled": False, "stagger": 0, "stored_once": False}
 """Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
+TASK_ONLY: dict[str, Any] = {"moving_start": 0.0, "pushes": False}
+"""Arguments of tasks without what belongs to training only."""
 DEPLOYED: dict[str, Any] = {
-    **_TO_LOOK_AT,
-    "moving_start": 0.0,
-    "pushes": False,
+    **LOADED,
+    **TASK_ONLY,
     "runaway_margin": None,
     "max_steps": 2**31 - 1,
     "failed_episode_replay": 0.0,
@@ -38,22 +39,21 @@ DEPLOYED: dict[str, Any] = {
 
 
 def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
-    """The env that a configuration describes.
+    """Return the env that a configuration describes.
 
     Args:
         config: of a run.
-        **overrides: arguments of :func:`torchrl_atr.envs.make_riding_env` to replace.
+        **overrides: arguments of :func:`torchrl_atr.envs.make_env`, or of the task's function, to replace; those of
+            :data:`DEPLOYED` that the task does not have are left out.
     """
     import_modules(config.imports)  # a config that was sent to another process was checked in the first alone
+    of_the_task = inspect.signature(TASKS.get(config.task)).parameters
+    task = {name: overrides.pop(name) for name in list(overrides) if name in of_the_task}
     arguments: dict[str, Any] = {
-        "robot": config.robot,
-        "transporter": config.transporter,
         "num_envs": config.num_envs,
-        "profile": config.profile,
         "num_threads": config.num_threads or None,
         "seed": config.seed,
         "compiled": config.compiled,
-        "moving_start": config.moving_start,
         "failed_episode_replay": config.retry,
         "history_length": config.history_length,
         "max_steps": round(config.episode_seconds / CONTROL_DT),
@@ -65,7 +65,8 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
         "grid": config.grid,
     }
-    return make_riding_env(**{**arguments, **overrides})
+    more = {name: value for name, value in overrides.items() if name not in TASK_ONLY}
+    return envs.make_env(config.make_task(**task), **{**arguments, **more})
 
 
 def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
@@ -107,43 +108,57 @@ def _keys(config: TrainConfig) -> NetworkKeys:
     return NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None)
 
 
+def make_run_loss(
+    config: TrainConfig, networks: RidingNetworks, loss_class: type[ROAClipPPOLoss] = ROAClipPPOLoss, **more: Any
+) -> ROAClipPPOLoss:
+    """The loss that a configuration describes.
+
+    Args:
+        config: of a run.
+        networks: that it trains.
+        loss_class: a subclass of :class:`~torchrl_atr.objectives.ROAClipPPOLoss` to make instead.
+        **more: further arguments of it.
+
+    Example:
+        >>> class MyLoss(ROAClipPPOLoss):
+        ...     pass
+        >>> make_loss = partial(make_run_loss, TrainConfig(), loss_class=MyLoss)  # of a Trainer
+    """
+    arguments: dict[str, Any] = {
+        "roa_coeff": config.roa_coeff,
+        "smoothness_coeff": config.smoothness_coeff,
+        "extrinsic_scale": networks.ext_norm if config.normalize_targets else None,
+        "clip_epsilon": config.clip_epsilon,
+        "entropy_coeff": config.entropy_coeff,
+        "entropy_bonus": True,
+        "critic_coeff": 1.0 / networks.critic.scale**2,
+        "loss_critic_type": "l2",
+        "normalize_advantage": False,
+        "functional": False,
+    }
+    return loss_class(
+        networks.training_actor(config.act_source),
+        networks.critic_module,
+        networks.encoder_module,
+        networks.intrinsic_estimator_module,
+        networks.extrinsic_estimator_module,
+        **{**arguments, **more},
+    )
+
+
+def make_reward_schedule(config: TrainConfig, env: EnvBase) -> dict[str, Callable[[float], float]]:
+    """Return by reward term's name the factor that it is learned with, a function of the run's progress in [0, 1].
+
+    Args:
+        config: of the run; not read, since a schedule belongs to the task.
+        env: whose task may have a ``reward_schedule``.
+    """
+    return dict(getattr(attribute(env, "task"), "reward_schedule", {}))
+
+
 def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
     """The policy that a run collects with; it shares the networks."""
     actor = networks.rollout_policy(config.act_source, config.student_fraction)
     if config.compiles_networks and config.collector == "direct":  # what is compiled cannot be sent to workers
         compile_methods(actor.module[0], "forward")
     return correlate(actor, config.noise_correlation)
-
-
-def load_run(
-    run: str | Path, checkpoint: str | None = None, imports: Sequence[str] = (), **env_overrides: Any
-) -> tuple[TrainConfig, TransformedEnv, RidingNetworks, dict[str, Any]]:
-    """Config, env, networks as they are deployed, in eval mode, and the whole checkpoint of a run folder.
-
-    Args:
-        run: the folder.
-        checkpoint: a file in it, such as ``best.pt``; None for the last one.
-        imports: modules to import besides those that the run remembers; with some, the latter may be missing.
-        **env_overrides: see :func:`make_env`; a ``robot`` or ``transporter`` is taken in the place of the run's own.
-
-    Raises:
-        CheckpointError: if there is no readable checkpoint, it does not fit this code, or robot or transporter are not
-            those that the run was trained with.
-    """
-    run = Path(run)
-    if checkpoint is not None and not (run / checkpoint).is_file():
-        raise CheckpointError(f"{run} has no {checkpoint}; train for longer, or take the last checkpoint")
-    state = load_checkpoint(run if checkpoint is None else run / checkpoint)
-    config = run_config(state, run, imports, device="cpu")  # wherever it was trained
-    env = make_env(config, **{**_TO_LOOK_AT, **env_overrides})
-    replaced = [part for part in PARTS if part in env_overrides]
-    own = env
-    if replaced:  # networks keep the symmetry of what they were trained on, wherever they ride
-        own = make_env(config, num_envs=1, **_TO_LOOK_AT)
-    check_model(state, own.base_env.scene, run, replaced)
-    try:
-        networks = make_run_networks(config, own)
-    except EstimatorError as error:
-        raise CheckpointError(f"the estimator {config.estimator!r} of {run} does not work here: {error}") from error
-    load_networks(networks, deployed_weights(state["learner"]), run)
-    return config, env, networks.eval(), state

@@ -16,14 +16,13 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector
-from torchrl.envs import TransformedEnv
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._errors import UserError, first_line
-from torchrl_atr.envs.transforms import CommandCurriculum
 from torchrl_atr.modules import OnDevice
-from torchrl_atr.training.checkpoint import CheckpointError
 from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
+from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
 
 _PLAIN = {"auto_register_policy_transforms": False}
 """The policy brings no transforms of its own."""
@@ -47,7 +46,7 @@ class Collection:
 
     Args:
         config: of the run.
-        env: this process's env; its first transform is the curriculum that is saved and shown.
+        env: this process's env; a curriculum that it has as ``env.curriculum`` is the one that is saved and shown.
         make_env: ``make_env(num_envs=n, seed=s, num_threads=t)`` for a worker.
         policy: shared with the learner.
         started: iterations that the run has behind it, so that workers of a resumed run meet other robots.
@@ -59,13 +58,13 @@ class Collection:
     def __init__(
         self,
         config: TrainConfig,
-        env: TransformedEnv,
-        make_env: Callable[..., TransformedEnv],
+        env: EnvBase,
+        make_env: Callable[..., EnvBase],
         policy: TensorDictModuleBase,
         started: int = 0,
     ) -> None:
         self.config, self.env, self.policy = config, env, policy
-        self.curriculum: CommandCurriculum = env.curriculum
+        self.curriculum = curriculum_of(env)
         self.remote = config.collector != "direct"
         self.callable = config.collector in ("process", "ray")
         self._broken = False
@@ -81,7 +80,7 @@ class Collection:
             self.shutdown()
             raise
 
-    def _make(self, make_env: Callable[..., TransformedEnv]) -> BaseCollector:
+    def _make(self, make_env: Callable[..., EnvBase]) -> BaseCollector:
         config = self.config
         common: dict[str, Any] = {
             "frames_per_batch": config.frames_per_batch,
@@ -94,11 +93,12 @@ class Collection:
             plain = {"track_traj_ids": False, "return_same_td": True, "trust_policy": True, **_PLAIN}
             return Collector(self.env, _for_cpu_data(self.policy, config), **plain, **common)
         threads = config.threads_each(config.workers)
+        weights = None if self.curriculum is None else self.curriculum.weights.clone()
         makers = [
             partial(
                 _worker_env,
                 make_env,
-                self.curriculum.weights.clone(),
+                weights,
                 num_envs=config.num_envs // config.workers,
                 seed=(config.seed + SEED_STRIDE * (worker + 1) + _RESUME_STRIDE * self._started) % 2**31,
                 num_threads=threads,
@@ -136,7 +136,7 @@ class Collection:
         Raises:
             CollectionError: if a worker died.
         """
-        if self.callable:
+        if self.callable and self.curriculum is not None:
             with self._workers():
                 for weights in self.collector.get_distant_attr(f"{_CURRICULUM}.weights"):
                     self.curriculum.merge_(weights)
@@ -157,30 +157,29 @@ class Collection:
             ) from error
 
     def _spread(self) -> None:
-        if self.callable:
+        if self.callable and self.curriculum is not None:
             arguments = [(self.curriculum.weights.clone(),)] * self.config.workers
             self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
 
     @property
     def num_diverged(self) -> int | None:
-        """Robots that have failed so far; None where workers cannot be asked."""
-        if not self.remote:
-            return self.env.base_env.num_diverged
+        """Robots that have failed so far; None where workers cannot be asked, or the env does not count them."""
+        here = attribute(self.env, "num_diverged")
+        if not self.remote or here is None:
+            return here
         return sum(self.collector.get_distant_attr("env.base_env.num_diverged")) if self.callable else None
 
     def state_dict(self) -> dict[str, Any]:
         """What the next batch depends on besides the networks, in plain dicts of tensors; empty with workers.
 
-        Workers start new episodes when a run is resumed; in this process the robots go on where they were.
+        Workers start new episodes when a run is resumed, and so does an env without a state of its own
+        (:func:`~torchrl_atr.training.env_access.env_state`); in this process the robots go on where they were.
         """
-        if self.remote:
+        env = {} if self.remote else env_state(self.env)
+        if not env:
             return {}
-        base = self.env.base_env
         return {
-            "env": base.get_state().to_dict(),
-            "env_rng": base.rng.get_state(),
-            "num_diverged": base.runner.num_diverged,
-            "transforms": dict(self.env.transform.state_dict()),
+            **env,
             "policy": {name: part.get_extra_state() for name, part in self._stateful()},
             "carried": self.collector._carrier.to_dict(),  # the root of the next step; TorchRL's state_dict lacks it
         }
@@ -193,20 +192,10 @@ class Collection:
         """
         if self.remote or not state:
             return
-        base = self.env.base_env
-        try:
-            self.env.transform.load_state_dict(state["transforms"])
-        except RuntimeError as error:
-            raise CheckpointError(
-                f"the robots' episodes in the checkpoint do not fit this code ({' '.join(str(error).split())}); go on "
-                "with the code that wrote it, or begin a new run with --from"
-            ) from error
-        base.set_state(TensorDict(state["env"], batch_size=base.batch_size))
-        base.rng.set_state(state["env_rng"])
-        base.runner.num_diverged = state["num_diverged"]
+        load_env_state(self.env, state)
         for name, part in self._stateful():
             part.set_extra_state(state["policy"][name])
-        carried = TensorDict(state["carried"], batch_size=base.batch_size)
+        carried = TensorDict(state["carried"], batch_size=self.env.batch_size)
         self.collector._carrier.update(carried.exclude("reward_terms"))  # which were carried once
 
     def _stateful(self) -> list[tuple[str, Any]]:
@@ -260,11 +249,12 @@ def _free_port() -> int:
         return probe.getsockname()[1]
 
 
-def _worker_env(make_env: Callable[..., TransformedEnv], weights: Tensor, *, seed: int, **share: Any) -> TransformedEnv:
+def _worker_env(make_env: Callable[..., EnvBase], weights: Tensor | None, *, seed: int, **share: Any) -> EnvBase:
     """A worker's env, with the curriculum as it stands; seeds the exploration of the process it is made in."""
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the trainer decides
     torch.manual_seed(seed)
     env = make_env(seed=seed, **share)
-    env.curriculum.load_weights(weights)
+    if weights is not None:
+        env.curriculum.load_weights(weights)
     return env

@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from torchrl_atr._cpus import available_cpus
-from torchrl_atr._errors import UserError
 from torchrl_atr._registry import import_modules
-from torchrl_atr.envs.models import get_robot, get_transporter
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
-from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.envs.profiles import PROFILES
+from torchrl_atr.envs.tasks import TASKS, Task, make_task
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import SOURCES, Source
-from torchrl_atr.training.ranges import BOUNDS, RANGES, plain, wrong_kind
+from torchrl_atr.modules import Source
+from torchrl_atr.training.config_checks import ConfigError, check_settings
+from torchrl_atr.training.ranges import plain, wrong_kind
 
-COLLECTORS = ("direct", "process", "ray", "distributed")
-"""Engines that collect batches."""
 SEED_STRIDE = 1000
 """Between the seeds of two processes that share a run."""
-
-
-class ConfigError(UserError, ValueError):
-    """A configuration that names something unknown or holds an impossible value."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +28,7 @@ class TrainConfig:
     """Everything a run depends on besides the code.
 
     Attributes:
+        task: name from the registry: ``riding``, ``walking`` or one of your own.
         robot: name from the registry, or path of a ``.toml`` file that describes one (kept as an absolute path; a run
             copies the file and all that it needs, and stores the copy's path in the run folder).
         transporter: ``single_board`` or ``two_board`` in the robot's size, another registered name, or likewise a file.
@@ -92,18 +84,20 @@ class TrainConfig:
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
-        steering_emphasis: weight of r1 in what is learned from, at its peak: it rises from 1 until ``anneal_until``
+        steering_weight_peak: factor of r1 in what is learned from, at its peak: it rises from 1 until ``anneal_until``
             of the run; 1 leaves the rewards alone. What it adds is not part of what the profile ``ancestor`` clips.
-        final_emphasis: what it sinks to from there until the run ends; with ``anneal_until=1`` it only rises.
+        steering_weight_end: what it sinks to from there until the run ends; with ``anneal_until=1`` it only rises.
         tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
         count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
         score_from_seconds: part of a command's time that the score leaves out (A6).
-        initial_speed, initial_yaw_rate: half widths of the first command box, m/s and rad/s.
-        max_speed, max_yaw_rate: half widths of the box that commands never leave, m/s and rad/s, multiples of 0.2.
+        initial_speed, initial_yaw_rate: half widths of the first command box, m/s and rad/s; 0 for all of it.
+        max_speed, max_yaw_rate: half widths of the box that commands never leave, m/s and rad/s, multiples of the
+            task's bins (riding: 0.2); 0 for the task's own.
         runaway_speed, runaway_yaw_rate: how much faster than any command a transporter may get before its episode ends.
         checkpoint_seconds: longest time between checkpoints.
     """
 
+    task: str = "riding"
     robot: str = "a1"
     transporter: str = "single_board"
     profile: str = "default"
@@ -159,15 +153,15 @@ class TrainConfig:
     retry: float = 0.5
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
-    steering_emphasis: float = 1.0
-    final_emphasis: float = 1.0
+    steering_weight_peak: float = 1.0
+    steering_weight_end: float = 1.0
     tracking_threshold: float = 0.6
     score_from_seconds: float = 1.0
     count_own_twice: bool = False
     initial_speed: float = 1.0
     initial_yaw_rate: float = 0.3
-    max_speed: float = BOUNDS[0]
-    max_yaw_rate: float = BOUNDS[1]
+    max_speed: float = 0.0
+    max_yaw_rate: float = 0.0
     runaway_speed: float = 2.0
     runaway_yaw_rate: float = 2.0
     checkpoint_seconds: float = 60.0
@@ -177,74 +171,11 @@ class TrainConfig:
             if problem := wrong_kind(field.name, getattr(self, field.name), field.default):
                 raise ConfigError(problem)
             object.__setattr__(self, field.name, plain(getattr(self, field.name)))
-        import_modules(self.imports)  # first: they register the names below
-        for name, (low, high) in RANGES.items():
-            value = getattr(self, name)
-            if not low <= value <= high:  # nor is a NaN
-                raise ConfigError(f"{name}={value!r} is out of range; choose a number in [{low:.10g}, {high:.10g}]")
-        if not self.critic_cells or min(self.critic_cells) < 1:
-            raise ConfigError(f"critic_cells={self.critic_cells} must be widths of 1 or more, such as 256,128,64")
-        if self.symmetric and any(cells % 2 for cells in self.critic_cells):
-            raise ConfigError(f"critic_cells={self.critic_cells} must be even, half for each side; or symmetric=false")
-        get_transporter(self.transporter, get_robot(self.robot))
+        import_modules(self.imports)  # first: they register the names that are checked
+        check_settings(self)
         for name in COPIES:
             if is_spec_file(value := getattr(self, name)):  # workers must find it from wherever they run
                 object.__setattr__(self, name, str(Path(value).resolve()))
-        PROFILES.get(self.profile)
-        if self.act_source not in SOURCES:
-            raise ConfigError(f"act_source={self.act_source!r} is unknown; choose one of {', '.join(SOURCES)}")
-        if self.score_from_seconds > self.command_seconds - CONTROL_DT:
-            raise ConfigError(
-                f"score_from_seconds={self.score_from_seconds:g} must be below "
-                f"command_seconds={self.command_seconds:g} by a control step: nothing would be left to score"
-            )
-        if self.episode_seconds < self.command_seconds:
-            raise ConfigError(
-                f"episode_seconds={self.episode_seconds:g} must be at least command_seconds={self.command_seconds:g}: "
-                "no command would ever be scored"
-            )
-        if self.collector not in COLLECTORS:
-            raise ConfigError(f"collector={self.collector!r} is unknown; choose one of {', '.join(COLLECTORS)}")
-        if self.collector != "direct":
-            self._check_share("workers")
-        self._check_learners()
-        _check_device(self.device)
-        if self.learning_rate > self.max_learning_rate:
-            raise ConfigError(
-                f"learning_rate={self.learning_rate:g} must not exceed max_learning_rate={self.max_learning_rate:g}, "
-                "up to which it is adapted"
-            )
-        try:
-            _ = self.grid
-        except ValueError as error:
-            names = ("initial_speed", "initial_yaw_rate", "max_speed", "max_yaw_rate")
-            given = ", ".join(f"{name}={getattr(self, name):g}" for name in names)
-            raise ConfigError(f"{given}: {error}") from error
-        if self.anneal_from >= self.anneal_until:
-            raise ConfigError(
-                f"anneal_until={self.anneal_until:g} must be larger than anneal_from={self.anneal_from:g}; both are "
-                "shares of the run"
-            )
-        for name in ("init_std", "relative_std", "final_std"):
-            if self.min_std >= getattr(self, name):
-                raise ConfigError(f"min_std={self.min_std:g} must be below {name}={getattr(self, name):g}")
-
-    def _check_learners(self) -> None:
-        if self.learners == 1:
-            return
-        if self.collector != "direct" or self.device != "cpu":
-            raise ConfigError(
-                f"learners={self.learners} are for collector='direct' and device='cpu', not {self.collector!r} and "
-                f"{self.device!r}; take learners=1, or workers"
-            )
-        self._check_share("learners")
-
-    def _check_share(self, name: str) -> None:
-        processes = getattr(self, name)
-        if self.num_envs % processes:
-            raise ConfigError(
-                f"num_envs={self.num_envs} cannot be shared evenly by {name}={processes}; choose a multiple of it"
-            )
 
     @property
     def compiles_networks(self) -> bool:
@@ -276,12 +207,35 @@ class TrainConfig:
             learners=1,
         )
 
+    def make_task(self, **overrides: Any) -> Task:
+        """Return the task, with some arguments of its function replaced.
+
+        Raises:
+            UnknownNameError: for an unknown task, robot, transporter or profile.
+        """
+        settings = {name: getattr(self, name) for name in ("robot", "transporter", "profile", "moving_start")}
+        settings |= {name: getattr(self, name) for name in ("steering_weight_peak", "steering_weight_end")}
+        settings["steering_weight_peak_at"] = self.anneal_until
+        known = inspect.signature(TASKS.get(self.task)).parameters
+        own = {name: value for name, value in settings.items() if name in known}
+        return make_task(self.task, **{**own, **overrides})
+
     @property
-    def grid(self) -> CommandGrid:
+    def title(self) -> str:
+        """What is trained, in a few words."""
+        return f"{self.robot} on {self.transporter}" if self.task == "riding" else f"{self.robot} {self.task}"
+
+    @property
+    def grid(self) -> CommandGrid | None:
         """The curriculum's cells and its rule."""
-        return CommandGrid(
-            bounds=(self.max_speed, self.max_yaw_rate),
-            initial=(self.initial_speed, self.initial_yaw_rate),
+        grid = self.make_task().command.grid
+        if grid is None:
+            return None
+        bounds = self.max_speed or grid.bounds[0], self.max_yaw_rate or grid.bounds[1]
+        return dataclasses.replace(
+            grid,
+            bounds=bounds,
+            initial=(self.initial_speed or bounds[0], self.initial_yaw_rate or bounds[1]),
             count_own_twice=self.count_own_twice,
         )
 
@@ -293,15 +247,3 @@ class TrainConfig:
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""
         return json.loads(json.dumps(dataclasses.asdict(self)))
-
-
-def _check_device(name: str) -> None:
-    try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise ConfigError(f"device={name!r} is unknown; use 'cpu' or 'cuda'") from error
-    if device.type not in ("cpu", "cuda"):
-        raise ConfigError(f"device={name!r} is not supported; use 'cpu' or 'cuda'")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        found = torch.cuda.device_count() or "no"
-        raise ConfigError(f"device={name!r}: torch finds {found} CUDA device here; use 'cpu'")

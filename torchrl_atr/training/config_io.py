@@ -12,7 +12,8 @@ from typing import Any
 from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
-from torchrl_atr.training.config import ConfigError, TrainConfig
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_checks import ConfigError
 from torchrl_atr.training.recipes import recipe_of
 
 
@@ -36,7 +37,8 @@ def make_config(values: dict[str, Any] | None = None, overrides: list[str] | Non
         if not separator:
             raise ConfigError(f"--set {text!r}: write it as key=value, such as --set gamma=0.99")
         merged[key.strip()] = value.strip()
-    merged = {**recipe_of(str(merged.get("profile", "default"))), **merged}
+    recipe = recipe_of(str(merged.get("profile", "default")), str(merged.get("task", "riding")))
+    merged = {**recipe, **merged}
     defaults = {field.name: field.default for field in dataclasses.fields(TrainConfig)}
     for name, value in merged.items():
         if name not in defaults:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, cast
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.objectives.value import GAE
@@ -15,13 +15,16 @@ from torchrl.objectives.value import GAE
 from torchrl_atr._compilation import CudaGraph, compile_methods
 from torchrl_atr.modules import RidingNetworks
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
+from torchrl_atr.training.assembly import make_run_loss
+from torchrl_atr.training.callbacks import Callbacks, Phase
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.guard import StepGuard
 from torchrl_atr.training.restoring import check_moments, deployed_weights
+from torchrl_atr.training.reward_schedule import RewardSchedule, factors_at, with_factors
 
-_YOUNG = 9
+EMA_WARMUP = 9
 """Early in a run the mean goes over a ninth of its iterations: what was learned since counts."""
-_TOO_FAR = 5.0
+KL_STOP_FACTOR = 5.0
 """Multiples of the KL target at which the rest of an iteration's policy steps is left out."""
 
 
@@ -34,29 +37,25 @@ class Learner:
     Args:
         networks: from :func:`torchrl_atr.modules.make_networks`; trained in place.
         config: hyper-parameters.
+        loss: what is minimised, see docs/own_parts.md; by default :func:`~torchrl_atr.training.make_run_loss`'s.
+        reward_schedule: factors of reward terms over the run, in what is learned from.
+        callbacks: whose ``on_minibatch`` and ``on_loss`` are called.
     """
 
-    def __init__(self, networks: RidingNetworks, config: TrainConfig) -> None:
+    def __init__(
+        self,
+        networks: RidingNetworks,
+        config: TrainConfig,
+        loss: ROAClipPPOLoss | None = None,
+        reward_schedule: RewardSchedule | None = None,
+        callbacks: Callbacks | None = None,
+    ) -> None:
         self.networks, self.config = networks, config
         self._averaged = AveragedModel(networks, multi_avg_fn=self._average)
         self._averaged.eval()  # it is never trained
-        self.loss = ROAClipPPOLoss(
-            networks.training_actor(config.act_source),
-            networks.critic_module,
-            networks.encoder_module,
-            networks.intrinsic_estimator_module,
-            networks.extrinsic_estimator_module,
-            roa_coeff=config.roa_coeff,
-            smoothness_coeff=config.smoothness_coeff,
-            extrinsic_scale=networks.ext_norm if config.normalize_targets else None,
-            clip_epsilon=config.clip_epsilon,
-            entropy_coeff=config.entropy_coeff,
-            entropy_bonus=True,
-            critic_coeff=1.0 / networks.critic.scale**2,
-            loss_critic_type="l2",
-            normalize_advantage=False,
-            functional=False,
-        )
+        self.loss: Any = make_run_loss(config, networks) if loss is None else loss
+        self._has_own_loss = loss is not None
+        self.reward_schedule, self.callbacks = dict(reward_schedule or {}), callbacks or Callbacks()
         critic = networks.critic_module
         self.advantage = GAE(
             gamma=config.gamma,
@@ -87,7 +86,7 @@ class Learner:
         self._first, self._too_far = torch.zeros(2, dtype=torch.bool, device=config.device)
         self._steps = self._make_steps()
         self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa_coeff) if config.roa_ramp else None
-        self._emphasis = 1.0
+        self._reward_factors = dict.fromkeys(self.reward_schedule, 1.0)
         self.guard = StepGuard()
         self.minibatch_size = -(-config.frames_per_batch // config.minibatches)
 
@@ -104,15 +103,13 @@ class Learner:
         return cast(RidingNetworks, self._averaged.module)
 
     def _average(self, averaged: Any, current: Any, iterations: Tensor | int) -> None:
-        share = max(1 / self.config.average_over, _YOUNG / (_YOUNG + 1 + int(iterations)))
+        share = max(1 / self.config.average_over, EMA_WARMUP / (EMA_WARMUP + 1 + int(iterations)))
         get_ema_multi_avg_fn(1 - share)(averaged, current, iterations)
 
     def anneal(self, progress: float) -> None:
-        """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ and the weight of r1.
+        """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ, schedules the reward terms.
 
-        Noise hides which way the board is tilted, and steps that follow a batch's noise unsettle what was learned. A
-        turn is paid late and through more noise than a speed: once speeds are held, r1 may count more. At the end it
-        may count less again, for which fewer fall.
+        Noise hides which way the board is tilted, and steps that follow a batch's noise unsettle what was learned.
 
         Args:
             progress: share of the run that is over, in [0, 1].
@@ -121,8 +118,7 @@ class Learner:
         late = float(np.interp(progress, [config.anneal_from, config.anneal_until], [0.0, 1.0]))
         self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
-        points, weights = [0.0, config.anneal_until, 1.0], [1.0, config.steering_emphasis, config.final_emphasis]
-        self._emphasis = float(np.interp(progress, points, weights))
+        self._reward_factors = factors_at(self.reward_schedule, progress)
         if self._roa_ramp is not None:
             self._roa_ramp.step(progress)
 
@@ -142,7 +138,8 @@ class Learner:
         """
         with torch.no_grad():
             # a copy: what is added to it, and the weighted reward, is not the caller's
-            batch = self._emphasized(_moved(batch.copy(), torch.device(self.config.device)))
+            batch = _moved(batch.copy(), torch.device(self.config.device))
+            batch = with_factors(batch, self._reward_factors)
             batch = self.advantage(batch)
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
             chatter = (batch["loc"] - batch["previous_mean"]).square().mean().sqrt()
@@ -159,13 +156,6 @@ class Learner:
         metrics |= {"learning_rate": self.schedule.get_last_lr()[0], "chatter": float(chatter)}
         return {**metrics, "skipped_steps": float(self.guard.skipped)}
 
-    def _emphasized(self, batch: TensorDictBase) -> TensorDictBase:
-        """The batch with rewards in which r1 counts as often as it does now; the terms stay Table III's."""
-        if self._emphasis == 1.0:
-            return batch
-        extra = (self._emphasis - 1.0) * batch["next", "reward_terms", "steering_command"]
-        return batch.set(("next", "reward"), batch["next", "reward"] + extra)
-
     def _record_latent_estimates(self, flat: TensorDictBase) -> None:
         """ẑ once an iteration, without gradient: what the encoder is pulled towards (Eq. 15's second term)."""
         module = self.networks.intrinsic_estimator_module
@@ -176,26 +166,32 @@ class Learner:
 
     def _shuffled(self, flat: TensorDictBase) -> TensorDictBase:
         """What the losses read, in another order; whole rows, which torch copies faster than it indexes them."""
-        read = flat.select(*self.loss.policy_in_keys, *self.loss.adaptation_in_keys, strict=False)
+        read = flat.select(*self._read["policy"], *self._read["estimators"], strict=False)
         order = torch.randperm(len(flat), device=flat.device)
         return read.apply(lambda entry: entry.index_select(0, order))
 
     def _learn_policy(self, shuffled: TensorDictBase) -> TensorDictBase:
-        return self._epochs("policy", shuffled.select(*self.loss.policy_in_keys, strict=False), self.config.epochs)
+        return self._epochs("policy", shuffled, self.config.epochs)
 
     def _learn_estimators(self, shuffled: TensorDictBase) -> TensorDictBase:
-        read = shuffled.select(*self.loss.adaptation_in_keys, strict=False)
-        return self._epochs("estimators", read, self.config.adaptation_epochs)
+        return self._epochs("estimators", shuffled, self.config.adaptation_epochs)
 
-    def _epochs(self, name: str, shuffled: TensorDictBase, epochs: int) -> TensorDictBase:
+    @property
+    def _read(self) -> dict[Phase, list[NestedKey]]:
+        """What each phase's steps read."""
+        loss, more = self.loss, self.callbacks.in_keys
+        return {"policy": [*loss.policy_in_keys, *more], "estimators": [*loss.adaptation_in_keys, *more]}
+
+    def _epochs(self, phase: Phase, shuffled: TensorDictBase, epochs: int) -> TensorDictBase:
         """Steps on the same minibatches in every epoch, views of what was shuffled once: a frame is mostly history.
 
         Returns:
             What each step reports, (steps,), where it was computed: nothing waits for a GPU before all steps are under
             way.
         """
-        minibatches = shuffled.split(self.minibatch_size)
-        return torch.stack([self._steps[name](minibatch) for _ in range(epochs) for minibatch in minibatches])
+        minibatches = shuffled.select(*self._read[phase], strict=False).split(self.minibatch_size)
+        step, process = self._steps[phase], self.callbacks.minibatch
+        return torch.stack([step(process(minibatch, phase)) for _ in range(epochs) for minibatch in minibatches])
 
     def _policy_step(self, minibatch: TensorDictBase) -> TensorDictBase:
         """Adapts the rate to how far the policy has gone from the one that made the batch, and steps unless too far.
@@ -207,11 +203,13 @@ class Learner:
         divergence = _kl_divergence(terms)
         self.schedule.step(divergence, hold=self._first | self._too_far)
         self._first.fill_(False)
-        self._too_far.logical_or_(self.schedule.exceeded(divergence, _TOO_FAR))
+        self._too_far.logical_or_(self.schedule.exceeded(divergence, KL_STOP_FACTOR))
+        terms = self.callbacks.loss(terms, minibatch, "policy")
         return self._step(terms, ("policy", "critic"), self._too_far)
 
     def _adaptation_step(self, minibatch: TensorDictBase) -> TensorDictBase:
-        return self._step(self.loss.adaptation_loss(minibatch), ("estimators",))
+        terms = self.callbacks.loss(self.loss.adaptation_loss(minibatch), minibatch, "estimators")
+        return self._step(terms, ("estimators",))
 
     def _step(self, terms: TensorDictBase, names: tuple[str, ...], hold: Tensor | None = None) -> TensorDictBase:
         """One optimiser step, left out where ``hold`` is true or something is not finite; detached terms, and which."""
@@ -243,7 +241,8 @@ class Learner:
             "averaged": int(self._averaged.n_averaged),
             "optimizers": {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()},
             "schedule": self.schedule.state_dict(),
-            "roa_coeff": float(self.loss.roa_coeff),
+            "roa_coeff": float(getattr(self.loss, "roa_coeff", 0.0)),
+            "loss": dict(self._loss_buffers()),
             "skipped_steps": self.guard.skipped,
         }
 
@@ -259,8 +258,17 @@ class Learner:
                 group["capturable"] = self.config.captures_graphs  # as this run needs it, not the one before
         self._steps = self._make_steps()  # graphs that were captured change tensors that are no longer read
         self.schedule.load_state_dict(state["schedule"])
-        self.loss.roa_coeff = state["roa_coeff"]
+        if hasattr(self.loss, "roa_coeff"):
+            self.loss.roa_coeff = state["roa_coeff"]
+        for name, buffer in self._loss_buffers():
+            buffer.copy_(state["loss"][name])
         self.guard.skipped = state.get("skipped_steps", 0)
+
+    def _loss_buffers(self) -> Iterator[tuple[str, Tensor]]:
+        """What a loss of the user's own keeps beside the networks; the recipe's follows from the configuration."""
+        theirs = {id(buffer) for buffer in self.networks.buffers()}
+        if self._has_own_loss:
+            yield from ((name, buffer) for name, buffer in self.loss.named_buffers() if id(buffer) not in theirs)
 
     def begin_from(self, state: dict[str, Any]) -> None:
         """Goes on with the moments of another run's optimisers and at its policy's rate, if lower; all else is new.

@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import mean
+from types import MappingProxyType
 from typing import Any
 
 import torch
-from torchrl.envs import TransformedEnv
+from torchrl.envs import EnvBase
 
 from torchrl_atr._files import say
 from torchrl_atr._threads import TorchThreads
-from torchrl_atr.training.assembly import make_env, make_policy, make_run_networks
+from torchrl_atr.training.assembly import make_policy, make_reward_schedule
+from torchrl_atr.training.callbacks import Callbacks
 from torchrl_atr.training.collection import Collection
 from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.env_access import curriculum_of
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
+from torchrl_atr.training.parts import Parts
 from torchrl_atr.training.team import Team
-
-DUMPS = "diverged"
-"""Folder of a run that simulations which failed are written to."""
 
 
 class Member:
@@ -63,7 +63,7 @@ class Member:
         self.threads.update()
         self.learner.anneal(progress)
         started = time.monotonic()
-        batch = self.collection.collect()
+        batch = self.learner.callbacks.batch(self.collection.collect())
         collected = time.monotonic()
         metrics = batch_metrics(batch)
         metrics.update(self.learner.update(batch))
@@ -72,11 +72,13 @@ class Member:
             state = self.learner.state_dict()
             learned = {name: state[name] for name in ("networks", "deployed", "optimizers")}  # normalisers, rates too
             self.learner.load_state_dict({**state, **self.team.average(learned)})
-            curriculum.merge_(self.team.maximum(curriculum.weights))
+            if curriculum is not None:
+                curriculum.merge_(self.team.maximum(curriculum.weights))
         self.collection.publish()
         self.collection.exchange()
-        metrics["command_area"] = curriculum.command_area[0]
-        metrics["frontier_speed"], metrics["frontier_yaw_rate"] = curriculum.frontier
+        if curriculum is not None:
+            metrics["command_area"] = curriculum.command_area[0]
+            metrics["frontier_speed"], metrics["frontier_yaw_rate"] = curriculum.frontier
         metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
         diverged = self.collection.num_diverged  # asks the workers
         if diverged is not None:
@@ -87,10 +89,10 @@ class Member:
 
     def state(self) -> list[dict[str, Any]]:
         """In the leader, what every member's next batch depends on besides the networks, by rank."""
-        return self.team.gather({"collection": self.collection.state_dict(), "rng": torch.get_rng_state()})
+        return self.team.gather(member_state(self.learner.callbacks, self.collection.state_dict()))
 
     def load_state(self, state: dict[str, Any]) -> None:
-        """Restores one member's part of :meth:`state`."""
+        """Restores one member's part of :meth:`state`, but for its callbacks."""
         self.collection.load_state_dict(state["collection"])
         torch.set_rng_state(state["rng"])  # last: building all this drew from it
 
@@ -101,13 +103,32 @@ def torch_threads(config: TrainConfig, announce: Callable[[str], object] | None 
     return TorchThreads(config.torch_threads or share, adaptive=config.torch_threads == 0, announce=announce)
 
 
-def env_maker(config: TrainConfig, run: Path) -> Callable[..., TransformedEnv]:
-    """Makes envs of a run, in any process; see :func:`~torchrl_atr.training.make_env` for what it takes."""
-    return partial(make_env, config, dump_dir=run.resolve() / DUMPS)
+def member_state(callbacks: Callbacks, collection: Mapping[str, Any] = MappingProxyType({})) -> dict[str, Any]:
+    """Return what one member's next batch depends on besides the networks, and the states of its callbacks."""
+    return {"collection": dict(collection), "callbacks": callbacks.state_dict(), "rng": torch.get_rng_state()}
+
+
+def make_learner(networks: Any, config: TrainConfig, env: EnvBase, parts: Parts, loss: Any = None) -> Learner:
+    """Return the learner of one process.
+
+    Args:
+        networks: of the run, where they are trained.
+        config: of this process's share.
+        env: its env.
+        parts: of the run.
+        loss: from ``parts``, where it has been made.
+    """
+    own = parts.loss(config, networks) if loss is None else loss
+    return Learner(networks, config, own, make_reward_schedule(config, env), parts.callbacks)
 
 
 def make_member(
-    learner: Learner, env: TransformedEnv, team: Team, run: Path, threads: TorchThreads, started: int = 0
+    learner: Learner,
+    env: EnvBase,
+    team: Team,
+    make_env: Callable[..., EnvBase],
+    threads: TorchThreads,
+    started: int = 0,
 ) -> Member:
     """A member around a learner and an env; workers start.
 
@@ -115,34 +136,39 @@ def make_member(
         learner: with the configuration of this process's share.
         env: its env.
         team: those it learns with.
-        run: the run folder.
+        make_env: from :meth:`~torchrl_atr.training.parts.Parts.env_maker`, for workers.
         threads: of torch.
         started: iterations that the run has behind it.
     """
     config = learner.config
     policy = make_policy(config, learner.networks)
-    return Member(learner, Collection(config, env, env_maker(config, run), policy, started), team, threads)
+    return Member(learner, Collection(config, env, make_env, policy, started), team, threads)
 
 
-def assist(team: Team, config: TrainConfig, run: Path) -> None:
+def assist(team: Team, config: TrainConfig, run: Path, parts: Parts) -> None:
     """What a helper's process does: makes its own robots and networks, takes over what the leader has, and follows.
 
     Args:
         team: as this process knows it.
         config: of the run.
         run: the run folder.
+        parts: of the run, but for what the leader alone needs.
     """
     share = config.share(team.rank)
+    make_env = parts.env_maker(share, run)
     torch.manual_seed(share.seed)
     with torch_threads(config, announce=None) as threads:  # the leader's line is enough
-        env = env_maker(share, run)()
-        learner = Learner(make_run_networks(share, env), share)
+        env = make_env()
+        learner = make_learner(parts.networks(share, env), share, env, parts)
         start = team.share(None)
         learner.load_state_dict(start["learner"])
-        env.curriculum.load_weights(start["weights"])
-        member = make_member(learner, env, team, run, threads, start["iteration"])
+        if (curriculum := curriculum_of(env)) is not None:
+            curriculum.load_weights(start["curriculum"]["weights"])
+        member = make_member(learner, env, team, make_env, threads, start["iteration"])
         if start["members"]:
-            member.load_state(start["members"][team.rank])
+            own = start["members"][team.rank]
+            member.load_state(own)
+            parts.callbacks.load_state_dict(own.get("callbacks", {}))
         member.follow()
 
 

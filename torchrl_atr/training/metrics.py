@@ -12,34 +12,50 @@ _ERRORS = ("speed_error", "yaw_error")
 
 
 def batch_metrics(batch: TensorDictBase) -> dict[str, float]:
-    """Means over a batch of the riding env.
+    """Means over a batch of any env, with more the more its entries say.
 
     Args:
-        batch: (N, T) with ``next`` holding ``speeds``, ``reward_terms``, ``step_count`` and the done flags.
+        batch: (N, T) with ``next`` holding ``reward`` and the done flags, and where the env emits them ``speeds`` (and
+            ``command`` beside it), ``reward_terms``, ``step_count`` and ``episode_reward``.
+
+    Returns:
+        ``reward``; those of :func:`riding_metrics` where there are speeds and commands; ``episode_length`` (steps, with
+        those that staggered first episodes begin at) and ``episode_reward`` of finished episodes where there are any;
+        ``reward/...`` means of the terms.
+    """
+    after = batch["next"]
+    metrics = {"reward": float(after["reward"].mean())}
+    if "speeds" in after and "command" in batch:
+        metrics.update(riding_metrics(batch))
+    done = after["done"].squeeze(-1)
+    for name, key in (("episode_length", "step_count"), ("episode_reward", "episode_reward")):
+        if key in after and done.any():
+            metrics[name] = float(after[key].squeeze(-1)[done].float().mean())
+    for term, value in after.get("reward_terms", {}).items():
+        metrics[f"reward/{term}"] = float(value.mean())
+    return metrics
+
+
+def riding_metrics(batch: TensorDictBase) -> dict[str, float]:
+    """What a batch of the riding env says about how commands are kept.
+
+    Args:
+        batch: (N, T) with ``command``, and ``next`` holding ``speeds`` and ``terminated``.
 
     Returns:
         ``speed_error`` (m/s) and ``yaw_error`` (rad/s), mean absolute differences of speeds and commands; the same for
         the robots that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw
-        rate that is reached (moving starts give an untrained rider some); ``episode_length`` (steps, with those that
-        staggered first episodes begin at) and ``episode_reward`` of finished episodes where there are any;
-        ``falls``, terminations per robot and second, runaways included; ``reward/...`` means of the terms.
+        rate that is reached (moving starts give an untrained rider some); ``falls``, terminations per robot and second,
+        runaways included.
     """
-    after = batch["next"]
-    metrics = {}
+    after, metrics = batch["next"], {}
     student = batch.get(("act", "student"), None)
     for name, error in zip(_ERRORS, (after["speeds"] - batch["command"]).abs().split(1, -1)):
         metrics[name] = float(error.mean())
         if student is not None and student.any():
             metrics[f"student_{name}"] = float(error[student].mean())
     metrics["yaw_gain"] = _regression_gain(batch["command"][..., 1], after["speeds"][..., 1])
-    metrics["reward"] = float(after["reward"].mean())
     metrics["falls"] = float(after["terminated"].float().mean()) / CONTROL_DT
-    done = after["done"].squeeze(-1)
-    if done.any():
-        metrics["episode_length"] = float(after["step_count"].squeeze(-1)[done].float().mean())
-        metrics["episode_reward"] = float(after["episode_reward"].squeeze(-1)[done].mean())
-    for term, value in after["reward_terms"].items():
-        metrics[f"reward/{term}"] = float(value.mean())
     return metrics
 
 

@@ -1,4 +1,4 @@
-"""What a run shows while it learns: a live table, ``progress.csv`` and TensorBoard."""
+"""What a run shows while it learns: a live table, ``progress.csv``, and TensorBoard or a logger of TorchRL."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ import csv
 import sys
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic, naming, say
 from torchrl_atr._text import number
 from torchrl_atr.training.config import TrainConfig
+
+if TYPE_CHECKING:
+    from torchrl.record.loggers import Logger
 
 
 class _Shown(NamedTuple):
@@ -69,12 +72,21 @@ class Progress:
     Args:
         run: the run folder.
         config: for time and frames left.
+        logger: of TorchRL, which gets every iteration's metrics by robot steps; None for TensorBoard in the run folder.
+        title: of the live table, before the folder.
         resume_from: frames of the checkpoint that the run goes on from; later rows of its log are dropped. None for a
             new run.
     """
 
-    def __init__(self, run: Path, config: TrainConfig, resume_from: int | None = None) -> None:
-        self.run, self.config = run, config
+    def __init__(
+        self,
+        run: Path,
+        config: TrainConfig,
+        resume_from: int | None = None,
+        logger: Logger | None = None,
+        title: str = "",
+    ) -> None:
+        self.run, self.config, self.logger, self.title = run, config, logger, title
         self._csv_path = run / "progress.csv"
         self._fields: list[str] = []
         self._purge_step = None if resume_from is None else resume_from + 1
@@ -89,7 +101,10 @@ class Progress:
         self._writer: Any = None
 
     def __enter__(self) -> Progress:
-        self._writer = self._make_writer()
+        if self.logger is None:
+            self._writer = self._make_writer()
+        else:
+            self.logger.log_hparams(self.config.to_dict())
         if sys.stdout.isatty():
             from rich.live import Live
 
@@ -107,9 +122,11 @@ class Progress:
         """Shows and stores one iteration."""
         self._shown.update(metrics)
         self._append(self._shown)
-        if self._writer is not None:
-            for name, value in metrics.items():
-                tag = name if "/" in name else f"train/{name}"
+        tagged = {name if "/" in name else f"train/{name}": value for name, value in metrics.items()}
+        if self.logger is not None:
+            self.logger.log_metrics(tagged, step=int(metrics["frames"]))
+        elif self._writer is not None:
+            for tag, value in tagged.items():
                 self._writer.add_scalar(tag, value, int(metrics["frames"]))
         if self._live is not None:
             self._live.update(self._table())
@@ -173,7 +190,7 @@ class Progress:
     def _table(self) -> Any:
         from rich.table import Table
 
-        table = Table(title=f"{self.config.robot} on {self.config.transporter}: {self.run}", show_header=False)
+        table = Table(title=f"{self.title}: {self.run}", show_header=False)
         for label, value in self._rows():
             table.add_row(label, value)
         return table

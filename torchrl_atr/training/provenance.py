@@ -7,12 +7,14 @@ import shlex
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
 
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_io import make_config
 from torchrl_atr.training.run_files import stored_settings
 
 _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
@@ -21,21 +23,23 @@ _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 def provenance(
     config: TrainConfig,
     run: Path,
-    model: str,
+    model: str | None,
     frames: int,
     seconds: float,
     start: Mapping[str, Any] | None = None,
+    parts: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """What ``run.json`` holds.
 
     Args:
         config: of the run.
         run: its folder, which paths in the command are relative to.
-        model: fingerprint of its robot on its transporter.
+        model: fingerprint of its robot on its transporter; None for an env that is not ours.
         frames: robot steps so far.
         seconds: of training so far, wall clock.
         start: of a run that began from another one: that one's ``run`` (its folder), ``config`` and ``provenance``,
             the last of which is what ``from`` holds.
+        parts: full names of the factories of the user's own, which the command cannot name.
     """
     origin = {} if start is None else {"from": {"run": start["run"], **start["provenance"]}}
     return {
@@ -46,6 +50,7 @@ def provenance(
         "minutes": round(seconds / 60, 2),
         **machine(config.device),
         **origin,
+        **({"parts": dict(parts)} if parts else {}),
     }
 
 
@@ -91,9 +96,10 @@ def command_line(settings: Mapping[str, Any], start: Mapping[str, Any] | None = 
         >>> command_line(TrainConfig(gamma=0.9, seed=1).to_dict(), {"run": "runs/ride", "config": {"gamma": 0.8}})
         'torchrl-atr train --from runs/ride --seed 1 --set gamma=0.9'
     """
-    defaults = TrainConfig().to_dict()
+    defaults = make_config({"task": settings.get("task", "riding")}).to_dict()
     if start is None:
-        named = {name: settings[name] for name in ("robot", "transporter", "seed")}
+        task = ("task",) if defaults["task"] != "riding" else ()
+        named = {name: settings[name] for name in (*task, "robot", "transporter", "seed")}
     else:
         named = {"from": start["run"], "seed": settings["seed"]}
         defaults |= start["config"]

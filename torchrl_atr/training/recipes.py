@@ -92,17 +92,46 @@ RECIPE_POINTS: dict[str, Point] = {
 """Fields of :class:`~torchrl_atr.training.TrainConfig` that a profile sets, unless the user does."""
 
 
-def recipe_of(profile: str) -> dict[str, Any]:
-    """Settings of a profile that differ from the default's.
+TASK_SETTINGS: dict[str, dict[str, Any]] = {
+    "walking": {
+        "rollout_steps": 24,
+        "gamma": 0.99,
+        "gae_lambda": 0.95,
+        "epochs": 4,
+        "learning_rate": 1e-3,
+        "max_learning_rate": 3e-3,
+        "target_kl": 0.02,
+        "entropy_coeff": 0.003,
+        "init_std": 0.8,
+        "relative_std": 0.8,
+        "min_std": 0.05,
+        "final_std": 0.2,
+        "noise_correlation": 0.0,
+        "smoothness_coeff": 0.0,
+        "dead_reckoning": False,
+        "steering_cue": False,
+        "moving_start": 0.0,
+        "episode_seconds": 20.0,
+        "initial_speed": 0.0,
+        "initial_yaw_rate": 0.0,
+    },
+}
+"""Settings of tasks that differ from riding's, unless the user says otherwise; a task of your own may add its own."""
+
+
+def recipe_of(profile: str, task: str = "riding") -> dict[str, Any]:
+    """Return the settings of a profile and a task that differ from the defaults.
 
     Args:
         profile: name; one that is not ours changes nothing.
+        task: name; likewise.
 
     Example:
-        >>> recipe_of("literal")["act_source"]
-        'privileged'
+        >>> recipe_of("literal")["act_source"], recipe_of("default", "walking")["noise_correlation"]
+        ('privileged', 0.0)
     """
+    own = dict(TASK_SETTINGS.get(task, {}))
     if profile not in ("literal", "ancestor"):
-        return {}
+        return own
     values = {name: getattr(point, profile) for name, point in RECIPE_POINTS.items()}
-    return {name: value for name, value in values.items() if value is not None}
+    return {**own, **{name: value for name, value in values.items() if value is not None}}

@@ -13,8 +13,9 @@ from torchrl_atr._errors import InputError, UserError, first_line
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models import Scene
 from torchrl_atr.envs.models.identity import PARTS, describe, differences, first_few
-from torchrl_atr.training.checkpoint import CheckpointError
+from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_checks import ConfigError
 from torchrl_atr.training.config_io import make_config
 from torchrl_atr.training.run_files import located_settings
 
@@ -40,6 +41,8 @@ def check_parts(state: Mapping[str, Any], run: Path) -> None:
         CheckpointError: if a part is missing.
     """
     for path in _PARTS:
+        if path[0] == "curriculum" and path[0] in state and state[path[0]] is None:  # its env has none
+            continue
         part: Any = state
         for name in path:
             if not isinstance(part, Mapping) or name not in part:
@@ -47,6 +50,35 @@ def check_parts(state: Mapping[str, Any], run: Path) -> None:
                     f"the checkpoint in {run} lacks {'/'.join(path)!r}; give a folder that `torchrl-atr train` wrote"
                 )
             part = part[name]
+
+
+def read_other(start: Path, run: Path) -> dict[str, Any]:
+    """Return the checkpoint of the run that a new one begins from, and its folder as ``run``.
+
+    Args:
+        start: folder of the former.
+        run: folder of the new one.
+
+    Raises:
+        ConfigError: if they are one.
+        CheckpointError: if there is no whole checkpoint.
+    """
+    if start.resolve() == run.resolve():
+        raise ConfigError(f"{run}: a run cannot replace the one that it begins from; give another --output")
+    state = load_checkpoint(start)
+    check_parts(state, start)
+    return {"run": str(start), **state}
+
+
+def other_parts(config: TrainConfig, other: Mapping[str, Any]) -> set[str]:
+    """Return robot or transporter, if the settings name another one than those of the run that a new one begins from.
+
+    Args:
+        config: of the new one.
+        other: from :func:`read_other`.
+    """
+    theirs = located_settings(other["config"], Path(other["run"]))
+    return {part for part in PARTS if getattr(config, part) != theirs.get(part)}
 
 
 def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] = ()) -> dict[str, Any]:
@@ -96,19 +128,20 @@ def run_config(state: Mapping[str, Any], run: Path, imports: Sequence[str] = (),
         raise CheckpointError(f"the settings of {run} do not work here: {error}") from error
 
 
-def check_model(state: Mapping[str, Any], scene: Scene, run: Path, replaced: Collection[str] = ()) -> None:
+def check_model(state: Mapping[str, Any], scene: Scene | None, run: Path, replaced: Collection[str] = ()) -> None:
     """Check that robot and transporter are those that a run was trained with.
 
     Args:
-        state: from :func:`~torchrl_atr.training.load_checkpoint`; one from before models were recorded passes.
-        scene: what the run's settings mean here.
+        state: from :func:`~torchrl_atr.training.load_checkpoint`; one without a model, as of an env of the user's own,
+            passes.
+        scene: what the run's settings mean here; None for an env that has none.
         run: where it is from, for messages.
         replaced: ``"robot"`` or ``"transporter"`` if that is another one on purpose.
 
     Raises:
         CheckpointError: if they differ; says in what.
     """
-    if "model" not in state:
+    if state.get("model") is None or scene is None:
         return
     here = describe(scene)
     changed = {part: differences(state["model"], here, [part]) for part in PARTS if part not in replaced}

@@ -12,10 +12,13 @@ from typing import Any
 from torchrl_atr._files import naming
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
+from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS
 from torchrl_atr.training.config import TrainConfig
 
 MODEL = "model"
 """Folder of a run that holds its robot's and its transporter's files."""
+DUMPS = "diverged"
+"""Folder of a run that simulations which failed are written to."""
 
 
 def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
@@ -50,6 +53,14 @@ def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
         finally:
             shutil.rmtree(staged, ignore_errors=True)
     return dataclasses.replace(config, **copies)
+
+
+def clear(run: Path) -> None:
+    """Remove what an earlier run wrote to the folder: two runs' checkpoints and logs must not mix."""
+    for name in (NAME, PREVIOUS, BEST, "progress.csv"):
+        (run / name).unlink(missing_ok=True)
+    for name in ("tensorboard", DUMPS):
+        shutil.rmtree(run / name, ignore_errors=True)
 
 
 def stored_settings(config: TrainConfig, run: Path) -> dict[str, Any]:

@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
-import shutil
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
+from torchrl.envs import EnvBase
 
 from torchrl_atr._files import say, sweep, write_json
 from torchrl_atr._interrupt import Interrupt
-from torchrl_atr.envs.models.identity import PARTS, describe, digest
-from torchrl_atr.modules import RidingNetworks, get_estimator
-from torchrl_atr.training.assembly import check_run_estimator, make_run_networks
-from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, load_checkpoint, save_checkpoint
+from torchrl_atr.envs.models.identity import digest
+from torchrl_atr.training import env_access
+from torchrl_atr.training.assembly import make_reward_schedule
+from torchrl_atr.training.callbacks import Callback, Callbacks
+from torchrl_atr.training.checkpoint import NAME, save_checkpoint
 from torchrl_atr.training.collection import CollectionError
-from torchrl_atr.training.config import ConfigError, TrainConfig
-from torchrl_atr.training.learner import Learner
-from torchrl_atr.training.member import DUMPS, Member, assist, env_maker, make_member, torch_threads
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.member import Member, assist, make_learner, make_member, member_state, torch_threads
+from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory, Parts
+from torchrl_atr.training.preparation import check_given, init_normalizers, model_of, trained_networks
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
-from torchrl_atr.training.restoring import check_model, check_parts, deployed_weights, load_networks
-from torchrl_atr.training.run_files import keep_files, located_settings, stored_settings
+from torchrl_atr.training.restoring import check_model
+from torchrl_atr.training.reward_schedule import check_reward_terms
+from torchrl_atr.training.run_files import clear, keep_files, stored_settings
 from torchrl_atr.training.team import Team
+
+if TYPE_CHECKING:
+    from torchrl.record.loggers import Logger
 
 _MEMORY = 0.05
 """Weight of an iteration in the running mean of the episode reward."""
@@ -35,26 +41,50 @@ _STOPPING = "stopping after this iteration; once more to stop at once"
 class Trainer:
     """One run in one folder.
 
+    What is not given is the recipe's own, made from the configuration; docs/own_parts.md says what each must have.
+
     Args:
-        config: the recipe.
+        config: the recipe; settings of a part that is given in its place are not read.
         run: folder for config, checkpoint, logs; made if missing.
         state: a checkpoint to go on from. With ``collector="direct"`` on the CPU, not compiled, with the same threads
             and no time limit, the run goes on bit for bit as if it had not stopped.
         start: folder of another run, with whose deployed networks, optimisers' moments and command grid a new one
             begins, at its policy's learning rate if that is lower; all else is new.
         replaced: ``"robot"`` or ``"transporter"`` if another one than that run's may be meant by the same name.
+        make_env: ``make_env(num_envs=, seed=, num_threads=)`` makes an env. A run resumes bit for bit if the env below
+            all transforms has ``get_state()`` and ``set_state(state)``; else episodes begin anew.
+        make_networks: ``make_networks(env)`` makes the networks, such as
+            :class:`~torchrl_atr.modules.RidingNetworks`.
+        make_loss: ``make_loss(networks)`` makes the loss, such as a subclass of
+            :class:`~torchrl_atr.objectives.ROAClipPPOLoss`.
+        logger: of ``torchrl.record.loggers``, which takes TensorBoard's place; it stays open.
+        callbacks: called at fixed points of the run.
 
     A robot that is given by a file is copied into the folder with all that it reads, and the copy is what is trained.
+    Factories and callbacks that other processes need must be picklable.
 
     Attributes:
         config: the recipe, with the folder's own copies of the files that it names.
+        parts: what is of the user's own.
+        env, learner, curriculum: of this process; an env without ``curriculum`` has None.
         threads: of torch.
 
     Raises:
-        CheckpointError: if the networks of either do not fit the settings, or it was trained with another robot or
-            transporter than there is here.
-        ConfigError: if ``start`` is ``run`` itself.
+        CheckpointError: if the networks of either do not fit the settings, it was trained with another robot or
+            transporter than there is here, or with parts of its own that are not given.
+        ConfigError: if ``start`` is ``run`` itself, or a part cannot be used.
         EstimatorError: if the estimator cannot be trained.
+
+    Example:
+        >>> from functools import partial
+        >>> from tempfile import TemporaryDirectory
+        >>> from torchrl_atr.envs import make_riding_env
+        >>> config = TrainConfig(num_envs=4, rollout_steps=4, total_frames=16, minibatches=1, num_threads=1)
+        >>> with TemporaryDirectory() as run:
+        ...     trainer = Trainer(config, run, make_env=partial(make_riding_env, "go1", "two_board"))
+        ...     ended_by = trainer.train()
+        >>> trainer.finished
+        True
     """
 
     def __init__(
@@ -64,41 +94,30 @@ class Trainer:
         state: dict[str, Any] | None = None,
         start: str | Path | None = None,
         replaced: Collection[str] = (),
+        *,
+        make_env: EnvFactory | None = None,
+        make_networks: NetworksFactory | None = None,
+        make_loss: LossFactory | None = None,
+        logger: Logger | None = None,
+        callbacks: Sequence[Callback] = (),
     ) -> None:
-        self.run = run = Path(run)
-        get_estimator(config.estimator)
-        other = None if start is None else _read_other(Path(start), run)
+        self.run, self.config = Path(run), config
+        self.parts = Parts(make_env, make_networks, make_loss, Callbacks(callbacks))
+        other = check_given(config, self.run, self.parts, state, None if start is None else Path(start), logger)
         torch.manual_seed(config.seed)
-        share = config.share(0)
         self.threads = torch_threads(config)
-        self.env = env_maker(share, run)()
-        scene = self.env.base_env.scene
-        if state is not None:
-            check_model(state, scene, run)
-        elif other is not None:
-            check_model(other, scene, Path(other["run"]), {*replaced, *_other_parts(config, other)})
-        check_run_estimator(share, self.env)
-        networks = make_run_networks(share, self.env)
-        if state is not None:
-            load_networks(networks, state["learner"]["networks"], run)
-        elif other is not None:
-            load_networks(networks, deployed_weights(other["learner"]), Path(other["run"]))
-        self._model = describe(scene)
-        run.mkdir(parents=True, exist_ok=True)  # not before: what is refused has written and removed nothing
-        sweep(run)
-        self.config = keep_files(config, run, fresh=state is None)
-        if state is None:
-            _clear(run)
-        if self.config != config:  # what the folder holds is what is trained
-            self.env.close()
-            share = self.config.share(0)
-            self.env = env_maker(share, run)()
-            check_model({"model": self._model}, self.env.base_env.scene, run)
-        self.curriculum = self.env.curriculum
+        self.env = self._env_maker()
+        networks = trained_networks(config, self.run, self.env, self.parts, state, other, replaced)
+        self._model = model_of(self.env)
+        loss = self.parts.loss(config, networks)
+        emitted = self.env.full_observation_spec.get("reward_terms", {})
+        check_reward_terms(make_reward_schedule(config, self.env), emitted.keys())
+        self._prepare_folder(fresh=state is None)
+        self.curriculum = env_access.curriculum_of(self.env)
         if state is None and other is None:
             with self.threads:  # compiled steps are for that many
-                self._acquaint(networks)
-        self.learner = Learner(networks.to(config.device), share)
+                init_normalizers(networks, self.env, self.config.rollout_steps, config.device)
+        self.learner = make_learner(networks, self.config.share(0), self.env, self.parts, loss)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
         self.reward, self.best_reward = 0.0, float("-inf")  # of episodes: running mean, and the best at a checkpoint
         self._mark = time.monotonic()  # the end of the last iteration
@@ -108,7 +127,24 @@ class Trainer:
             self._restore(state)
         elif other is not None:
             self._begin_from(other)
-        self.progress = Progress(run, config, resume_from=self.frames if state is not None else None)
+        title = self.parts.names.get("make_env", config.title)
+        self.progress = Progress(self.run, config, None if state is None else self.frames, logger, title)
+
+    @property
+    def _env_maker(self) -> Callable[..., EnvBase]:
+        return self.parts.env_maker(self.config.share(0), self.run)
+
+    def _prepare_folder(self, fresh: bool) -> None:
+        """Makes the run folder: what is refused before has written and removed nothing."""
+        self.run.mkdir(parents=True, exist_ok=True)
+        sweep(self.run)
+        given, self.config = self.config, keep_files(self.config, self.run, fresh)
+        if fresh:
+            clear(self.run)
+        if self.config != given and self.parts.make_env is None:  # what the folder holds is what is trained
+            self.env.close()
+            self.env = self._env_maker()
+            check_model({"model": self._model}, env_access.attribute(self.env, "scene"), self.run)
 
     def train(self, on_iteration: Callable[[dict[str, float]], bool | None] | None = None) -> int | None:
         """Trains until ``total_frames`` or ``max_minutes``, saving a checkpoint first, now and then, and last.
@@ -116,8 +152,8 @@ class Trainer:
         SIGINT and SIGTERM end it after the iteration at hand, with a checkpoint.
 
         Args:
-            on_iteration: called with each iteration's metrics; its time is not part of the run's. If it returns True,
-                the run ends.
+            on_iteration: called with each iteration's metrics, after they are logged; its time is not part of the
+                run's. If it returns True, the run ends.
 
         Returns:
             The signal that ended it early, or None.
@@ -126,6 +162,7 @@ class Trainer:
         with Interrupt(partial(say, _STOPPING)) as interrupt, self.threads:
             try:
                 _ = self.member  # other processes take a while: not part of the first iteration's time
+                self.parts.callbacks.train_begin(self)
                 self.save()
                 with self.progress:
                     self._loop(interrupt, on_iteration)
@@ -137,37 +174,23 @@ class Trainer:
                     raise
             finally:
                 self._close()
+                self.parts.callbacks.train_end()
         return None if self.finished else interrupt.signal
 
     @cached_property
     def member(self) -> Member:
         """This process's part; other processes start when it is first asked for, and end with :meth:`train`."""
-        team = Team.form(self.config.learners, assist, self.config, self.run)
+        team = Team.form(self.config.learners, assist, self.config, self.run, self.parts.of_learners)
+        start = {"learner": self.learner.state_dict(), "curriculum": env_access.curriculum_state(self.curriculum)}
         try:
-            team.share(
-                {
-                    "learner": self.learner.state_dict(),
-                    "weights": self.curriculum.weights,
-                    "iteration": self.iteration,
-                    "members": self._carried,
-                }
-            )
-            member = make_member(self.learner, self.env, team, self.run, self.threads, self.iteration)
+            team.share({**start, "iteration": self.iteration, "members": self._carried})
+            member = make_member(self.learner, self.env, team, self._env_maker, self.threads, self.iteration)
             if self._carried:
                 member.load_state(self._carried[0])
         except BaseException:
             team.disband()
             raise
         return member
-
-    @torch.no_grad()
-    def _acquaint(self, networks: RidingNetworks) -> None:
-        """Means and scales of random actions to start from, a step at a time: a rollout would hold every history."""
-        carrier, spec = self.env.reset(), self.env.action_spec
-        for _ in range(self.config.rollout_steps):
-            carrier["action"] = torch.randn(spec.shape, dtype=spec.dtype)  # whatever the bounds
-            step, carrier = self.env.step_and_maybe_reset(carrier)
-            networks.update_normalizers(step)
 
     def _close(self) -> None:
         if "member" in vars(self):
@@ -179,10 +202,13 @@ class Trainer:
         saved = self._mark = time.monotonic()
         while not self.finished and interrupt.signal is None:
             metrics = self.iterate()
+            ended = self.parts.callbacks.iteration(metrics)
             self.progress.update(metrics)
             if on_iteration is not None:
-                if on_iteration(metrics):
-                    return
+                ended |= bool(on_iteration(metrics))
+            if ended:
+                return
+            if on_iteration is not None or self.parts.callbacks.calling("on_iteration"):
                 self._mark = time.monotonic()
             if time.monotonic() - saved > self.config.checkpoint_seconds:
                 self.save()
@@ -219,75 +245,52 @@ class Trainer:
 
     def save(self) -> None:
         """Writes the checkpoint (config, learner, curriculum, collection, counters) and where it comes from."""
-        origin = provenance(self.config, self.run, digest(self._model), self.frames, self.seconds, self._start)
+        model, parts = None if self._model is None else digest(self._model), self.parts.names
+        origin = provenance(self.config, self.run, model, self.frames, self.seconds, self._start, parts)
         write_json(self.run / "run.json", origin)
+        known = self.iteration > 1 / _MEMORY and self.reward != 0.0  # of an env without episode rewards it is not
+        best = known and self.reward > self.best_reward
+        self.best_reward = self.reward if best else self.best_reward
+        state = self._state(origin)
+        self.parts.callbacks.checkpoint(state)
+        save_checkpoint(self.run / NAME, state, best=best)
+
+    def _state(self, origin: dict[str, Any]) -> dict[str, Any]:
+        """All that a resumed run depends on."""
         if "member" in vars(self):
             self._carried = self.member.lead("state")
-        mine, *others = self._carried or [{"collection": {}, "rng": torch.get_rng_state()}]
-        best = self.iteration > 1 / _MEMORY and self.reward > self.best_reward
-        self.best_reward = self.reward if best else self.best_reward
-        save_checkpoint(
-            self.run / NAME,
-            {
-                "config": stored_settings(self.config, self.run),
-                "model": self._model,
-                "start": self._start,
-                "learner": self.learner.state_dict(),
-                "curriculum": {"weights": self.curriculum.weights, **self.curriculum.get_extra_state()},
-                **mine,
-                "members": others,
-                "frames": self.frames,
-                "iteration": self.iteration,
-                "seconds": self.seconds,
-                "reward": self.reward,
-                "best_reward": self.best_reward,
-                "provenance": origin,
-            },
-            best=best,
-        )
+        mine, *others = self._carried or [member_state(self.parts.callbacks)]
+        return {
+            "config": stored_settings(self.config, self.run),
+            "model": self._model,
+            "parts": self.parts.names,
+            "start": self._start,
+            "learner": self.learner.state_dict(),
+            "curriculum": env_access.curriculum_state(self.curriculum),
+            **mine,
+            "callbacks": self.parts.callbacks.state_dict(),
+            "members": others,
+            "frames": self.frames,
+            "iteration": self.iteration,
+            "seconds": self.seconds,
+            "reward": self.reward,
+            "best_reward": self.best_reward,
+            "provenance": origin,
+        }
 
     def _begin_from(self, other: dict[str, Any]) -> None:
-        grid = self.curriculum.grid
-        self.curriculum.load_weights(grid.merge(grid.fitted(other["curriculum"]["weights"]), grid.initial_weights()))
+        env_access.widen_curriculum(self.curriculum, other["curriculum"])
         self.learner.begin_from(other["learner"])
         self._start = {name: other[name] for name in ("run", "config", "provenance")}
 
     def _restore(self, state: dict[str, Any]) -> None:
         self.learner.load_state_dict(state["learner"])
-        self.curriculum.load_weights(state["curriculum"]["weights"])
-        self.curriculum.set_extra_state({k: v for k, v in state["curriculum"].items() if k != "weights"})
-        self.frames, self.iteration = state["frames"], state["iteration"]
-        self.seconds = state["seconds"]
+        env_access.load_curriculum(self.curriculum, state["curriculum"])
+        self.frames, self.iteration, self.seconds = (state[name] for name in ("frames", "iteration", "seconds"))
         self._start = state.get("start")
-        own = {"collection": state.get("collection", {}), "rng": state["rng"]}
-        self._carried = [own, *state.get("members", [])]
-        if len(self._carried) != self.config.learners:
-            raise ConfigError(
-                f"learners={self.config.learners}: the checkpoint is of {len(self._carried)}; go on with as many, or "
-                "begin a new run with --from"
-            )
+        mine = {"collection": state.get("collection", {}), "rng": state["rng"]}
+        self._carried = [mine, *state.get("members", [])]
         self.reward = state.get("reward", 0.0)
         self.best_reward = state.get("best_reward", float("-inf"))
-
-
-def _read_other(start: Path, run: Path) -> dict[str, Any]:
-    """The checkpoint of the run that a new one begins from, and its folder as ``run``."""
-    if start.resolve() == run.resolve():
-        raise ConfigError(f"{run}: a run cannot replace the one that it begins from; give another --output")
-    state = load_checkpoint(start)
-    check_parts(state, start)
-    return {"run": str(start), **state}
-
-
-def _other_parts(config: TrainConfig, other: dict[str, Any]) -> set[str]:
-    """Robot or transporter, if the settings name another one than those of the run that a new one begins from."""
-    theirs = located_settings(other["config"], Path(other["run"]))
-    return {part for part in PARTS if getattr(config, part) != theirs.get(part)}
-
-
-def _clear(run: Path) -> None:
-    """Removes what an earlier run wrote to the folder: two runs' checkpoints and logs must not mix."""
-    for name in (NAME, PREVIOUS, BEST, "progress.csv"):
-        (run / name).unlink(missing_ok=True)
-    for name in ("tensorboard", DUMPS):
-        shutil.rmtree(run / name, ignore_errors=True)
+        self.parts.callbacks.load_state_dict(state.get("callbacks", {}))
+        self.parts.callbacks.resume(state)

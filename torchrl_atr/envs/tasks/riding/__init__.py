@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
+
+import numpy as np
 
 from torchrl_atr._checks import check_flag, check_number
 from torchrl_atr.envs.models import RobotSpec, Transporter, TransporterSpec, get_robot, get_transporter
@@ -42,7 +45,9 @@ def riding(
     pushes: bool = True,
     moving_start: float = 0.0,
     rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
-    reward_schedule: Mapping[str, Callable[[float], float]] | None = None,
+    steering_weight_peak: float = 1.0,
+    steering_weight_end: float = 1.0,
+    steering_weight_peak_at: float = 1.0,
 ) -> Task:
     """Return the riding task.
 
@@ -54,7 +59,11 @@ def riding(
         pushes: whether robot and platform are pushed every 3 s.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         rewards: the terms of the reward by name.
-        reward_schedule: see :class:`~torchrl_atr.envs.tasks.task.Task`.
+        steering_weight_peak: factor of r1 in what is learned from, at its peak: it rises from 1 until
+            ``steering_weight_peak_at``. A turn is paid late and through more noise than a speed: once speeds are held,
+            it may count more.
+        steering_weight_end: what it sinks to from there until training ends, for which fewer fall.
+        steering_weight_peak_at: share of the training, in (0, 1].
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
@@ -86,6 +95,12 @@ def riding(
         state_reader=RidingStateReader,
         hook=DriveHook,
         readings=readings,
-        reward_schedule=reward_schedule or {},
+        reward_schedule=_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),
         arguments={"robot": describe_robot(robot), "transporter": describe_transporter(spec)},
     )
+
+
+def _steering_schedule(peak: float, end: float, peak_at: float) -> dict[str, Callable[[float], float]]:
+    if peak == end == 1.0:
+        return {}
+    return {"steering_command": partial(np.interp, xp=(0.0, peak_at, 1.0), fp=(1.0, peak, end))}

@@ -1,0 +1,269 @@
+"""Hook points of a run: what code of the user's own does while a run trains."""
+
+from __future__ import annotations
+
+import io
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import chain
+from typing import TYPE_CHECKING, Any, Literal
+
+import torch
+from tensordict import NestedKey, TensorDictBase
+
+from torchrl_atr._errors import first_line
+from torchrl_atr.training.checkpoint import CheckpointError
+from torchrl_atr.training.config_checks import ConfigError
+
+if TYPE_CHECKING:
+    from torchrl_atr.training.trainer import Trainer
+
+Phase = Literal["policy", "estimators"]
+"""What an optimiser step trains: actor, encoder and critic, or both estimators."""
+LEARNER_HOOKS = ("on_batch", "on_minibatch", "on_loss")
+"""Hooks that every learner calls, each on its own data; the first alone calls the others."""
+_HOOKS = (*LEARNER_HOOKS, "on_train_begin", "on_iteration", "on_checkpoint", "on_resume", "on_train_end")
+_LOG = logging.getLogger(__name__)
+
+
+class Callback:
+    """Code that a :class:`~torchrl_atr.training.Trainer` calls at fixed points; override what is needed.
+
+    Each method does nothing here, and one that is not overridden is never called. Beside each stands the destination of
+    :meth:`torchrl.trainers.Trainer.register_op` that it resembles.
+
+    ======================  ==================================================================  =====================
+    method                  called                                                              of ``register_op``
+    ======================  ==================================================================  =====================
+    :meth:`on_train_begin`  as :meth:`Trainer.train` begins, workers started                    ``setup``
+    :meth:`on_batch`        with each batch, before metrics and advantages                      ``batch_process``
+    :meth:`on_minibatch`    with what each optimiser step reads                                 ``process_optim_batch``
+    :meth:`on_loss`         with the terms that each optimiser step minimises                   ``process_loss``
+    :meth:`on_iteration`    with the metrics of each iteration, before they are logged          ``post_steps_log``
+    :meth:`on_checkpoint`   with each checkpoint, before it is written
+    :meth:`on_resume`       with the checkpoint that a run goes on from, once it is restored
+    :meth:`on_train_end`    as :meth:`Trainer.train` ends, however it does                      ``shutdown``
+    ======================  ==================================================================  =====================
+
+    With several ``learners`` each process has a copy; only the first one, which writes the run folder, calls more than
+    :meth:`on_batch`, :meth:`on_minibatch` and :meth:`on_loss`. Callbacks with one of these must then be picklable.
+
+    Attributes:
+        in_keys: entries of the batch that :meth:`on_minibatch` or :meth:`on_loss` read; a minibatch otherwise holds
+            what the loss reads.
+
+    Example:
+        >>> class Clip(Callback):
+        ...     def on_batch(self, batch):
+        ...         return batch.set(("next", "reward"), batch["next", "reward"].clamp(-1, 1))
+        >>> Clip().name
+        'Clip'
+    """
+
+    in_keys: Sequence[NestedKey] = ()
+
+    @property
+    def name(self) -> str:
+        """What its state is called in a checkpoint, and it in errors; two of one run must differ."""
+        return type(self).__name__
+
+    def on_train_begin(self, trainer: Trainer) -> None:
+        """Prepare; ``trainer`` has ``env``, ``learner``, ``config``, ``run``."""
+
+    def on_batch(self, batch: TensorDictBase) -> TensorDictBase:
+        """Return the batch to learn from.
+
+        Args:
+            batch: (N, T), on the CPU. Entries can be set; the tensors themselves are the collector's and must not be
+                changed in place.
+        """
+        return batch
+
+    def on_minibatch(self, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
+        """Return what an optimiser step reads.
+
+        Args:
+            minibatch: (B,), on the learner's device, with what the loss reads and :attr:`in_keys`. Entries can be set;
+                the tensors are those of all epochs and must not be changed in place.
+            phase: what the step trains.
+        """
+        return minibatch
+
+    def on_loss(self, terms: TensorDictBase, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
+        """Return the terms of an optimiser step; the sum of those called ``loss_...`` is minimised, all are logged.
+
+        On a GPU it needs ``compiled=False``: there compiled steps are CUDA graphs, which run no Python.
+
+        Args:
+            terms: scalars, of the loss.
+            minibatch: what they were computed from.
+            phase: what the step trains.
+        """
+        return terms
+
+    def on_iteration(self, metrics: dict[str, float]) -> bool | None:
+        """Look at an iteration's metrics, or add some, which are logged; its time is not part of the run's.
+
+        Returns:
+            Whether the run ends here; None for no.
+        """
+        return None
+
+    def on_checkpoint(self, state: dict[str, Any]) -> None:
+        """Look at a checkpoint before it is written; what is added (tensors, numbers, texts) is there on resuming."""
+
+    def on_resume(self, state: Mapping[str, Any]) -> None:
+        """Look at the checkpoint that the run goes on from, after :meth:`load_state_dict`."""
+
+    def on_train_end(self) -> None:
+        """Clean up, after the last checkpoint; also called if an error ended the run."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what a resumed run needs of this callback: nested dicts of tensors, numbers and texts."""
+        return {}
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore :meth:`state_dict`."""
+
+
+class Callbacks:
+    """The callbacks of a run, in order; knows which hooks are there, so that others cost nothing.
+
+    Args:
+        callbacks: each a :class:`Callback`.
+
+    Raises:
+        ConfigError: if one is none, two have one name, or a state is more than tensors, numbers and texts.
+    """
+
+    def __init__(self, callbacks: Sequence[Callback] = ()) -> None:
+        if not isinstance(callbacks, Sequence):
+            raise ConfigError(f"callbacks={callbacks!r}: give a list of Callback objects")
+        self._all = tuple(callbacks)
+        for callback in self._all:
+            if not isinstance(callback, Callback):
+                raise ConfigError(f"callbacks: {callback!r} is not a Callback object; subclass torchrl_atr's Callback")
+        names = [callback.name for callback in self._all]
+        if doubled := [name for name in names if names.count(name) > 1]:
+            raise ConfigError(f"two callbacks are called {doubled[0]!r}; give one another `name`")
+        self._by_hook = {hook: [each for each in self._all if _overrides(each, hook)] for hook in _HOOKS}
+        self.state_dict()
+
+    def __iter__(self) -> Iterator[Callback]:
+        return iter(self._all)
+
+    def calling(self, hook: str) -> list[Callback]:
+        """Return those with a hook of their own."""
+        return self._by_hook[hook]
+
+    @property
+    def of_learners(self) -> Callbacks:
+        """Those that every learner calls, with nothing of the others."""
+        return Callbacks([each for each in self._all if any(_overrides(each, hook) for hook in LEARNER_HOOKS)])
+
+    @property
+    def in_keys(self) -> list[NestedKey]:
+        """What minibatches hold for them."""
+        return list(chain.from_iterable(each.in_keys for each in self._all))
+
+    def train_begin(self, trainer: Trainer) -> None:
+        """Call :meth:`Callback.on_train_begin` of each."""
+        for callback in self.calling("on_train_begin"):
+            callback.on_train_begin(trainer)
+
+    def batch(self, batch: TensorDictBase) -> TensorDictBase:
+        """Return the batch after :meth:`Callback.on_batch` of each; the one given keeps its entries."""
+        for callback in self.calling("on_batch"):
+            batch = _checked(callback.on_batch(batch.copy()), callback, "on_batch")
+        return batch
+
+    def minibatch(self, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
+        """Return the minibatch after :meth:`Callback.on_minibatch` of each; the one given keeps its entries."""
+        for callback in self.calling("on_minibatch"):
+            minibatch = _checked(callback.on_minibatch(minibatch.copy(), phase), callback, "on_minibatch")
+        return minibatch
+
+    def loss(self, terms: TensorDictBase, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
+        """Return the terms after :meth:`Callback.on_loss` of each."""
+        for callback in self.calling("on_loss"):
+            terms = _checked(callback.on_loss(terms, minibatch, phase), callback, "on_loss")
+        return terms
+
+    def iteration(self, metrics: dict[str, float]) -> bool:
+        """Whether one of them ends the run; all are called."""
+        answers = [callback.on_iteration(metrics) for callback in self.calling("on_iteration")]
+        return any(answers)
+
+    def checkpoint(self, state: dict[str, Any]) -> None:
+        """Call :meth:`Callback.on_checkpoint` of each."""
+        for callback in self.calling("on_checkpoint"):
+            before = set(state)
+            callback.on_checkpoint(state)
+            _check_plain({name: state[name] for name in state.keys() - before}, callback, "on_checkpoint added")
+
+    def resume(self, state: Mapping[str, Any]) -> None:
+        """Call :meth:`Callback.on_resume` of each."""
+        for callback in self.calling("on_resume"):
+            callback.on_resume(state)
+
+    def train_end(self) -> None:
+        """Call :meth:`Callback.on_train_end` of each."""
+        for callback in self.calling("on_train_end"):
+            callback.on_train_end()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the states by name, without empty ones.
+
+        Raises:
+            ConfigError: if one holds more than tensors, numbers and texts.
+        """
+        states = {callback.name: callback.state_dict() for callback in self._all}
+        for callback in self._all:
+            if states[callback.name]:
+                _check_plain(states[callback.name], callback, "state_dict returned")
+        return {name: state for name, state in states.items() if state}
+
+    def load_state_dict(self, states: Mapping[str, Any]) -> None:
+        """Restore :meth:`state_dict`; a state of a callback that is not there is left out, with a warning.
+
+        Raises:
+            CheckpointError: if a callback cannot take its state.
+        """
+        for name in states.keys() - {callback.name for callback in self._all}:
+            _LOG.warning(
+                "the checkpoint holds a state of the callback %r, which is not among the run's callbacks", name
+            )
+        for callback in self._all:
+            if callback.name not in states:
+                continue
+            try:
+                callback.load_state_dict(states[callback.name])
+            except Exception as error:
+                raise CheckpointError(
+                    f"the callback {callback.name!r} cannot take its state from the checkpoint "
+                    f"({type(error).__name__}: {first_line(error)}); give the one that the run was trained with"
+                ) from error
+
+
+def _overrides(callback: Callback, hook: str) -> bool:
+    method: Callable[..., Any] = getattr(callback, hook)
+    return getattr(method, "__func__", method) is not getattr(Callback, hook)
+
+
+def _checked(result: Any, callback: Callback, hook: str) -> TensorDictBase:
+    if not isinstance(result, TensorDictBase):
+        raise ConfigError(f"{hook} of the callback {callback.name!r} returned {result!r}; return the TensorDict")
+    return result
+
+
+def _check_plain(state: Any, callback: Callback, what: str) -> None:
+    buffer = io.BytesIO()
+    try:
+        torch.save(state, buffer)
+        buffer.seek(0)
+        torch.load(buffer, weights_only=True)
+    except Exception as error:
+        raise ConfigError(
+            f"what {what} of the callback {callback.name!r} cannot be kept in a checkpoint; give nested dicts of "
+            "tensors, numbers and texts"
+        ) from error

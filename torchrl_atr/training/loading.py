@@ -1,0 +1,75 @@
+"""From a run folder back to its configuration, env and networks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from torchrl.envs import EnvBase
+
+from torchrl_atr.envs.models.identity import PARTS
+from torchrl_atr.modules import EstimatorError
+from torchrl_atr.training.assembly import LOADED, make_env
+from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.env_access import attribute
+from torchrl_atr.training.parts import NetworksFactory, Parts
+from torchrl_atr.training.restoring import check_model, deployed_weights, load_networks, run_config
+
+
+def load_run(
+    run: str | Path,
+    checkpoint: str | None = None,
+    imports: Sequence[str] = (),
+    *,
+    make_env: Callable[..., EnvBase] | None = None,
+    make_networks: NetworksFactory | None = None,
+    **env_overrides: Any,
+) -> tuple[TrainConfig, Any, Any, dict[str, Any]]:
+    """Config, env, networks as they are deployed, in eval mode, and the whole checkpoint of a run folder.
+
+    Args:
+        run: the folder.
+        checkpoint: a file in it, such as ``best.pt``; None for the last one.
+        imports: modules to import besides those that the run remembers; with some, the latter may be missing.
+        make_env: of a run that was trained with an env of the user's own: what makes it, or one like it. It is called
+            with ``num_envs``, ``seed`` and ``num_threads`` of the run, and with ``env_overrides``.
+        make_networks: of a run that was trained with networks of the user's own.
+        **env_overrides: see :func:`~torchrl_atr.training.make_env`; a ``robot`` or ``transporter`` is taken in the
+            place of the run's own.
+
+    Raises:
+        CheckpointError: if there is no readable checkpoint, it does not fit this code, robot or transporter are not
+            those that the run was trained with, or it was trained with parts of the user's own that are not given.
+    """
+    run = Path(run)
+    if checkpoint is not None and not (run / checkpoint).is_file():
+        raise CheckpointError(f"{run} has no {checkpoint}; train for longer, or take the last checkpoint")
+    state = load_checkpoint(run if checkpoint is None else run / checkpoint)
+    parts = Parts(make_env, make_networks)
+    parts.check_complete(state, run, ("make_env", "make_networks"))
+    config = run_config(state, run, imports, device="cpu")  # wherever it was trained
+    if make_env is None:
+        env, trained_in = _recipes_envs(config, state, run, env_overrides)
+    else:
+        env = trained_in = parts.env_maker(config, run)(**env_overrides)
+        check_model(state, attribute(env, "scene"), run, PARTS)
+    try:
+        networks = parts.networks(config, trained_in)
+    except EstimatorError as error:
+        raise CheckpointError(f"the estimator {config.estimator!r} of {run} does not work here: {error}") from error
+    load_networks(networks, deployed_weights(state["learner"]), run)
+    return config, env, networks.eval(), state
+
+
+def _recipes_envs(
+    config: TrainConfig, state: dict[str, Any], run: Path, overrides: dict[str, Any]
+) -> tuple[EnvBase, EnvBase]:
+    """The env that is asked for, and one of the robot that the networks were trained with."""
+    env = own = make_env(config, **{**LOADED, **overrides})
+    replaced = [part for part in PARTS if part in overrides]
+    if replaced:  # networks keep the symmetry of what they were trained on, wherever they ride
+        own = make_env(config, num_envs=1, **LOADED)
+    check_model(state, own.base_env.scene, run, replaced)
+    return env, own

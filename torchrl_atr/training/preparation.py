@@ -1,0 +1,119 @@
+"""What is checked and made of a run before anything in its folder is written, and what a new one starts from."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torchrl.envs import EnvBase
+
+from torchrl_atr.envs.models.identity import Description, describe
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_checks import ConfigError
+from torchrl_atr.training.env_access import attribute
+from torchrl_atr.training.parts import FACTORIES, Parts
+from torchrl_atr.training.restoring import check_model, deployed_weights, load_networks, other_parts, read_other
+
+
+def check_given(
+    config: TrainConfig, run: Path, parts: Parts, state: Mapping[str, Any] | None, start: Path | None, logger: Any
+) -> dict[str, Any] | None:
+    """Check what a trainer is given before anything is made of it.
+
+    Args:
+        config: of the run.
+        run: its folder.
+        parts: of the user's own.
+        state: the checkpoint that it goes on from, if any.
+        start: folder of the run that it begins from, if any.
+        logger: the user's own, if any.
+
+    Returns:
+        The checkpoint in ``start``, and that folder as ``run``.
+
+    Raises:
+        CheckpointError: if a checkpoint lacks something, or parts that were its run's own are not given.
+        ConfigError: if a part or the logger cannot be used, both runs are one, or the checkpoint is of other learners.
+    """
+    parts.check(config)
+    missing = [name for name in ("log_metrics", "log_hparams") if not hasattr(logger, name)]
+    if logger is not None and missing:
+        raise ConfigError(f"logger={logger!r} lacks {missing[0]}; give one of torchrl.record.loggers")
+    if state is not None:
+        parts.check_complete(state, run, FACTORIES)
+        learners = 1 + len(state.get("members", []))
+        if learners != config.learners:
+            raise ConfigError(
+                f"learners={config.learners}: the checkpoint is of {learners}; go on with as many, or begin a new run "
+                "with --from"
+            )
+    if start is None:
+        return None
+    other = read_other(start, run)
+    parts.check_complete(other, start, ["make_networks"])
+    return other
+
+
+def trained_networks(
+    config: TrainConfig,
+    run: Path,
+    env: EnvBase,
+    parts: Parts,
+    state: Mapping[str, Any] | None,
+    other: Mapping[str, Any] | None,
+    replaced: Collection[str],
+) -> Any:
+    """Return a run's networks on the learner's device, with the weights of either checkpoint.
+
+    Args:
+        config: of the run.
+        run: its folder, for messages.
+        env: of the run.
+        parts: of the run.
+        state: the checkpoint that it goes on from, if any.
+        other: of the run that it begins from, if any, from :func:`check_given`.
+        replaced: parts of the robot's model that may be another than in ``other`` though they are called the same.
+
+    Raises:
+        CheckpointError: if a checkpoint is of another model, or of other networks.
+        ConfigError: if the networks lack something.
+        EstimatorError: if the estimator cannot be trained.
+    """
+    scene = attribute(env, "scene")
+    if state is not None:
+        check_model(state, scene, run)
+    elif other is not None:
+        check_model(other, scene, Path(other["run"]), {*replaced, *other_parts(config, other)})
+    networks = parts.networks(config, env)
+    if state is not None:
+        load_networks(networks, state["learner"]["networks"], run)
+    elif other is not None:
+        load_networks(networks, deployed_weights(other["learner"]), Path(other["run"]))
+    return networks.to(config.device)
+
+
+def model_of(env: EnvBase) -> Description | None:
+    """Return what is remembered of the env's robot on its transporter; None for an env without."""
+    scene = attribute(env, "scene")
+    return None if scene is None else describe(scene)
+
+
+@torch.no_grad()
+def init_normalizers(networks: Any, env: EnvBase, steps: int, device: str) -> None:
+    """Give normalisers means and scales of random actions to start from.
+
+    A step at a time: a rollout would hold every history.
+
+    Args:
+        networks: whose normalisers they are.
+        env: in which so many steps are taken.
+        steps: control steps.
+        device: of the networks.
+    """
+    carrier, key, spec = env.reset(), env.action_key, env.action_spec
+    for _ in range(steps):
+        carrier[key] = torch.randn(spec.shape, dtype=spec.dtype)  # whatever the bounds
+        step, carrier = env.step_and_maybe_reset(carrier)
+        networks.update_normalizers(step.to(device))

@@ -1,0 +1,71 @@
+"""How much each reward term counts in what is learned from, over the run; the env's own rewards stay as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+
+from tensordict import TensorDictBase
+
+from torchrl_atr.training.config_checks import ConfigError
+
+RewardSchedule = Mapping[str, Callable[[float], float]]
+"""By reward term's name the factor that it counts with, a function of the progress of the run in [0, 1]."""
+
+
+def factors_at(schedule: RewardSchedule, progress: float) -> dict[str, float]:
+    """Return the factors at one time.
+
+    Args:
+        schedule: by term.
+        progress: share of the run that is over; beyond [0, 1] the nearer end counts.
+
+    Example:
+        >>> factors_at({"torque": lambda progress: 1.0 + progress}, 0.5)
+        {'torque': 1.5}
+    """
+    share = min(max(progress, 0.0), 1.0)
+    return {name: float(factor(share)) for name, factor in schedule.items()}
+
+
+def with_factors(batch: TensorDictBase, factors: Mapping[str, float]) -> TensorDictBase:
+    """Add (factor - 1) · term to the reward for each factor, in place.
+
+    Args:
+        batch: with ``next`` holding ``reward`` (N, T, 1) and each ``("reward_terms", name)`` (N, T, 1).
+        factors: by term.
+
+    Raises:
+        ConfigError: if a term is missing.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> import torch
+        >>> after = {"reward": torch.ones(2, 1), "reward_terms": {"torque": -torch.ones(2, 1)}}
+        >>> with_factors(TensorDict({"next": after}, [2]), {"torque": 3.0})["next", "reward"].squeeze(-1)
+        tensor([-1., -1.])
+    """
+    if not factors:
+        return batch
+    terms = batch["next"].get("reward_terms", {})
+    check_reward_terms(factors, terms.keys())
+    extra = sum((factor - 1.0) * terms[name] for name, factor in factors.items() if factor != 1.0)
+    return batch.set(("next", "reward"), batch["next", "reward"] + extra)
+
+
+def check_reward_terms(schedule: Collection[str], terms: Collection[str]) -> None:
+    """Check that there is a reward term for every name of a schedule.
+
+    Args:
+        schedule: the names.
+        terms: those that the env emits, under ``reward_terms``.
+
+    Raises:
+        ConfigError: if there is none; names it and those that there are.
+    """
+    for name in schedule:
+        if name not in terms:
+            known = ", ".join(map(str, terms)) or "none"
+            raise ConfigError(
+                f"the reward schedule names the term {name!r}, but the env's reward_terms are {known}; leave it out of "
+                "the schedule (steering_emphasis and final_emphasis are that of steering_command), or emit the term"
+            )
