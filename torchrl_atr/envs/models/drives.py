@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING
 
 import torch
@@ -39,9 +40,13 @@ def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readi
     """
     smoothing = readings.steering_smoothing
     forward = tilt[..., 0]
-    jump = torch.copysign(torch.ones_like(forward), forward + 0.0)  # sgn(-0) = 1, too
-    sign = torch.tanh(forward / smoothing) if smoothing else jump
+    sign = torch.tanh(forward / smoothing) if smoothing else torch.where(forward < 0.0, -1.0, 1.0)
     pushes = (tilt / transporter.tilt_norm).clamp_(-1.0, 1.0)
-    pushes[..., 0] *= transporter.max_acceleration
-    pushes[..., 1] *= -transporter.max_yaw_acceleration * sign
+    pushes *= _limits(transporter.max_acceleration, -transporter.max_yaw_acceleration)
+    pushes[..., 1] *= sign
     return pushes
+
+
+@cache
+def _limits(forward: float, yaw: float) -> Tensor:
+    return torch.tensor([forward, yaw], dtype=torch.float64)

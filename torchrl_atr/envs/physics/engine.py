@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import mujoco
@@ -32,15 +33,15 @@ _DIVERGED = columns(
 
 
 class ModelFields(dict[str, Tensor]):
-    """Fields of the compiled model that differ between simulations, (N, ...) each, live.
+    """Fields of the compiled model, such as ``body_mass``, of several simulations, (N, ...) each.
 
-    A field becomes one per simulation when it is first asked for.
+    A field is there from when it is first asked for.
 
     Args:
         expand: makes a field one per simulation, by name.
 
     Raises:
-        InputError: for a name that is no such field.
+        InputError: for a name that is no field which can differ between simulations.
     """
 
     def __init__(self, expand: Callable[[str], Tensor]) -> None:
@@ -149,11 +150,12 @@ class Engine(ABC):
     def advance(self, substeps: int) -> None:
         """Make ``substeps`` of hook and simulation step; note which simulations diverged."""
         warned, expected = self._warnings()[:, _DIVERGED].copy(), self.time + substeps * TIMESTEP
-        for number in range(1, substeps + 1):
-            self.hook.apply(TIMESTEP)
-            if number == substeps:
-                self.torque_velocity.copy_(self.qvel[:, self._joints])
-            self._substep(last=number == substeps)
+        with one_torch_thread():
+            for number in range(1, substeps + 1):
+                self.hook.apply(TIMESTEP)
+                if number == substeps:
+                    self.torque_velocity.copy_(self.qvel[:, self._joints])
+                self._substep(last=number == substeps)
         # MuJoCo's own reset also zeroes the counts: a second divergence in a row shows in the time alone
         warned_anew = torch.from_numpy((self._warnings()[:, _DIVERGED] > warned).any(axis=1))
         self.diverged = warned_anew | ((self.time - expected).abs() > 0.5 * TIMESTEP)
@@ -163,7 +165,7 @@ class Engine(ABC):
     def nominal(self, name: str) -> Tensor:
         """Return a field of the nominal model, float64, to read."""
         if name not in self._nominal:
-            self._nominal[name] = torch.from_numpy(np.array(getattr(self.scene.model, name)))
+            self._nominal[name] = torch.from_numpy(np.array(_field(self.scene.model, name)))
         return self._nominal[name]
 
     def reset(
@@ -175,13 +177,14 @@ class Engine(ABC):
             rows: which simulations, (n,) integers; the others are left exactly as they are.
             qpos: (n, nq).
             qvel: (n, nv).
-            write: writes the parameters of those rows into the fields, in which it finds the nominal values; None
-                leaves the fields as they are.
+            write: writes the parameters of those rows into fields of theirs, (n, ...) each, in which it finds the
+                nominal values; None leaves the fields as they are.
         """
         if write is not None:
-            for name, field in self.fields.items():
-                field[rows] = self.nominal(name)
-            write(self.fields)
+            fresh = ModelFields(lambda name: self.nominal(name).expand(len(rows), *self.nominal(name).shape).clone())
+            write(fresh)
+            for name, values in fresh.items():
+                self.fields[name][rows] = values
             self._refresh_constants(rows)
         self.world_offset[rows] = 0.0
         self.diverged[rows] = False
@@ -258,6 +261,24 @@ class Engine(ABC):
         self.set_state(saved["state"])
         self.set_time(saved["time"])
         self.diverged.copy_(saved["diverged"])
+
+
+def _field(model: mujoco.MjModel, name: str) -> NDArray[Any]:
+    value = getattr(model, name)
+    if not isinstance(value, np.ndarray):
+        raise TypeError(f"{name} is no array")
+    return value
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Run a block with one of torch's threads: others would spin on the CPUs that physics needs."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def shared(array: NDArray[Any]) -> Tensor:

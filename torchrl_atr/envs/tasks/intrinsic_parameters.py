@@ -18,8 +18,8 @@ from torchrl_atr.envs.tasks.mirrors import Mirror
 
 Randomization = Literal["train", "test", "off"]
 RANDOMIZATIONS: tuple[Randomization, ...] = ("train", "test", "off")
-Apply = Callable[[ModelFields, Tensor, Tensor, Scene], None]
-"""Writes a parameter's values (n, size) into the model fields of rows (n,); see :class:`IntrinsicParameter`."""
+Apply = Callable[[ModelFields, Tensor, Scene], None]
+"""Writes a parameter's values (n, size) into fields of n models; see :class:`IntrinsicParameter`."""
 
 
 class IntrinsicError(InputError):
@@ -31,8 +31,8 @@ class IntrinsicParameter:
     """A parameter of robot or support that is drawn for every episode and that the policy does not see.
 
     Attributes:
-        apply: ``apply(fields, rows, value, scene)`` writes the values (n, size), float64, into the fields of the
-            simulations ``rows`` (n,), in which it finds the nominal model's.
+        apply: ``apply(fields, value, scene)`` writes the values (n, size), float64, into the fields of n models,
+            (n, ...) each, in which it finds the nominal ones and what other parameters wrote.
         train: training range, of every component.
         test: testing range; the training range by default.
         nominal: the value without randomisation; the middle of the training range by default.
@@ -44,8 +44,8 @@ class IntrinsicParameter:
         IntrinsicError: if ``apply`` cannot be called or a range is none.
 
     Example:
-        >>> def friction_loss(fields, rows, value, scene):
-        ...     fields["dof_frictionloss"][rows[:, None], scene.layout.joint_dof] = value
+        >>> def friction_loss(fields, value, scene):
+        ...     fields["dof_frictionloss"][:, scene.layout.joint_dof] = value
         >>> parameter = IntrinsicParameter(friction_loss, train=(0.0, 0.4), size="joints", mirror=mirrors.joint_gains)
         >>> parameter.nominal
         0.2
@@ -152,15 +152,15 @@ class Intrinsics:
         values = low + (x_int.double() + 1.0) * (high - low) / 2.0
         return {name: values[:, part] for name, part in self.slices.items()}
 
-    def apply(self, fields: ModelFields, rows: Tensor, x_int: Tensor) -> None:
-        """Write x_int (n, size) into the fields of ``rows`` (n,), which hold the nominal model's.
+    def apply(self, fields: ModelFields, x_int: Tensor) -> None:
+        """Write x_int (n, size) into the fields of n models, which hold the nominal model's.
 
         Raises:
             IntrinsicError: names the parameter whose ``apply`` failed.
         """
         for name, value in self.values(x_int).items():
             try:
-                self.parameters[name].apply(fields, rows, value, self.scene)
+                self.parameters[name].apply(fields, value, self.scene)
             except Exception as error:  # of the user's function
                 reason = f"{type(error).__name__}: {error}"
                 raise IntrinsicError(f"the intrinsic parameter {name!r} could not be applied: {reason}") from error

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from functools import partial
 
-import torch
 from torch import Tensor
 
 from torchrl_atr.envs.models.robot import RobotSpec
-from torchrl_atr.envs.models.scene import Scene
+from torchrl_atr.envs.models.scene import Scene, columns
 from torchrl_atr.envs.physics.engine import ModelFields
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks import mirrors
@@ -18,47 +17,44 @@ TABLE_II_KP, TABLE_II_KD = 40.0, 1.0
 """Midpoints of Table II's ranges, N m/rad and N m s/rad, for every robot if A13 is read literally."""
 
 
-def payload(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+def payload(fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Add a mass to the trunk, kg, (n, 1); its inertia grows in proportion."""
     trunk = scene.layout.trunk_body
-    scale_body(fields, rows, trunk, 1.0 + value[:, 0] / fields["body_mass"][rows, trunk])
+    scale_body(fields, trunk, 1.0 + value[:, 0] / fields["body_mass"][:, trunk])
 
 
-def com_shift(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+def com_shift(fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Move the trunk's centre of mass, m, (n, 3)."""
-    fields["body_ipos"][rows, scene.layout.trunk_body] += value
+    fields["body_ipos"][:, scene.layout.trunk_body] += value
 
 
-def kp(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+def kp(fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Set the PD stiffness of every joint, N m/rad, (n, 12)."""
-    each, actuators = rows[:, None], torch.as_tensor(scene.layout.actuators)
-    fields["actuator_gainprm"][each, actuators, 0] = value
-    fields["actuator_biasprm"][each, actuators, 1] = -value
+    actuators = columns(scene.layout.actuators)
+    fields["actuator_gainprm"][:, actuators, 0] = value
+    fields["actuator_biasprm"][:, actuators, 1] = -value
 
 
-def kd(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+def kd(fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Set the PD damping of every joint, N m s/rad, (n, 12)."""
-    actuators = torch.as_tensor(scene.layout.actuators)
-    fields["actuator_biasprm"][rows[:, None], actuators, 2] = -value
+    actuators = columns(scene.layout.actuators)
+    fields["actuator_biasprm"][:, actuators, 2] = -value
 
 
-def friction(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+def friction(fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Set the sliding friction between feet and support, (n, 1)."""
-    geoms = torch.as_tensor(scene.layout.support_geoms)
-    fields["geom_friction"][rows[:, None], geoms, 0] = value
+    fields["geom_friction"][:, columns(scene.layout.support_geoms), 0] = value
 
 
-def scale_body(fields: ModelFields, rows: Tensor, body: int, scale: Tensor) -> None:
+def scale_body(fields: ModelFields, body: int, scale: Tensor) -> None:
     """Multiply a body's mass and inertia by a factor, (n,)."""
-    fields["body_mass"][rows, body] *= scale
-    fields["body_inertia"][rows, body] *= scale[:, None]
+    fields["body_mass"][:, body] *= scale
+    fields["body_inertia"][:, body] *= scale[:, None]
 
 
-def scaled(
-    function: Apply, unit: float | Tensor, fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene
-) -> None:
+def scaled(function: Apply, unit: float | Tensor, fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Apply a parameter whose values are ratios to a nominal of robot or transporter."""
-    function(fields, rows, value * unit, scene)
+    function(fields, value * unit, scene)
 
 
 def robot_parameters(robot: RobotSpec, readings: Readings) -> dict[str, IntrinsicParameter]:

@@ -87,6 +87,8 @@ class RewardFunction:
         self.scale = CONTROL_DT if self.readings.rewards_times_dt else 1.0
         for name, term in self.terms.items():
             _try(name, term, context)
+        weights = [self.scale * term.weight for term in self.terms.values()]
+        self._weights = torch.tensor(weights, dtype=torch.float32).reshape(-1, 1, 1)
 
     def __call__(self, context: StepContext) -> tuple[Tensor, Tensor]:
         """Compute all terms and their sum.
@@ -95,7 +97,7 @@ class RewardFunction:
             ``reward`` (N, 1) and the scaled terms, (terms, N, 1) in the order of :attr:`terms`; they add up to
             ``reward`` unless what is below zero is clipped before termination is added (A17).
         """
-        terms = self.scale * torch.stack([term(context) for term in self.terms.values()]).unsqueeze(-1)
+        terms = torch.stack([term.function(context) for term in self.terms.values()]).unsqueeze(-1) * self._weights
         total = terms.sum(0)
         if self.readings.positive_rewards:
             names = list(self.terms)

@@ -107,7 +107,7 @@ class EpisodeRunner:
             again = self.failed[rows] & (draw < self.failed_episode_replay)
             x_int = torch.where(again.unsqueeze(-1), self.x_int[rows], x_int)
         begun = self.task.reset(self.scene, command, self.rng)
-        self.engine.reset(rows, begun.qpos, begun.qvel, lambda fields: self.intrinsics.apply(fields, rows, x_int))
+        self.engine.reset(rows, begun.qpos, begun.qvel, lambda fields: self.intrinsics.apply(fields, x_int))
         observed, velocities, memory = self.terms.first(self._reader.gather(rows), command, x_int)
         self._reader.velocities[rows] = velocities
         # out of place: callers may hold what was handed out before
@@ -225,6 +225,6 @@ class EpisodeRunner:
         vars(self).update(own)
         rows = torch.arange(self.engine.num_envs)
         qpos, qvel = (state[name].double() for name in ("qpos", "qvel"))
-        self.engine.reset(rows, qpos, qvel, lambda fields: self.intrinsics.apply(fields, rows, self.x_int))
+        self.engine.reset(rows, qpos, qvel, lambda fields: self.intrinsics.apply(fields, self.x_int))
         self.engine.set_state(dict(state))
         self._reader.forget()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -10,7 +11,7 @@ from torch import Tensor
 from torchrl_atr.envs.models.boards import TransporterLayout
 from torchrl_atr.envs.models.scene import TIMESTEP, columns
 from torchrl_atr.envs.models.transporter import TransporterSpec
-from torchrl_atr.envs.physics.engine import Engine
+from torchrl_atr.envs.physics.engine import Engine, one_torch_thread
 from torchrl_atr.envs.physics.hook import SubstepHook
 from torchrl_atr.envs.profiles import Readings
 
@@ -34,7 +35,7 @@ def resistance(x: Tensor, coefficients: tuple[float, float, float], readings: Re
     if not readings.odd_resistance:
         return c0 + c1 * x + c2 * x * x
     speed = x.abs()
-    magnitude = c0 + speed * (c1 + c2 * speed)
+    magnitude = (speed * c2).add_(c1).mul_(speed).add_(c0)
     smoothing = readings.coulomb_smoothing
     return magnitude * (torch.tanh(x / smoothing) if smoothing else torch.sign(x))
 
@@ -59,7 +60,18 @@ def advance(
         opposing = resistance(x.abs(), coefficients, readings)
         opposing = torch.where(x == 0.0, coefficients[0], opposing)
         return torch.sign(free) * (free.abs() - dt * scale * opposing).clamp_min(0.0)
-    return x + dt * scale * (push - resistance(x, coefficients, readings))
+    return torch.addcmul(x, scale, push - resistance(x, coefficients, readings), value=dt)
+
+
+def mix(angles: Tensor, rows: tuple[Tensor, ...]) -> Tensor:
+    """Return ``angles @ matrix`` of (N, hinges) and (hinges, 2), given its rows (2,), written out.
+
+    A matrix product wakes torch's threads, which then spin on the CPUs that physics needs, and ends a compiled loop.
+    """
+    mixed = angles[:, :1] * rows[0]
+    for i in range(1, len(rows)):
+        mixed = torch.addcmul(mixed, angles[:, i : i + 1], rows[i])
+    return mixed
 
 
 @dataclass(frozen=True)
@@ -83,8 +95,9 @@ class DriveLaw:
     readings: Readings
 
     def __post_init__(self) -> None:
-        driving = torch.tensor(self.transporter.design.driving, dtype=torch.float64).T.contiguous()
-        object.__setattr__(self, "_driving", driving)
+        object.__setattr__(
+            self, "_driving", torch.tensor(self.transporter.design.driving, dtype=torch.float64).T.unbind()
+        )
 
     def mass_scale(self, mass: Tensor) -> Tensor:
         """Compute what multiplies (drive - R): 1/m_P and 1/I_zz, or relative to the nominal transporter (A9).
@@ -95,10 +108,14 @@ class DriveLaw:
         Returns:
             Shape (N, 2): forward, yaw. The boards are uniform boxes, so I_zz (or I*_zz) follows their mass.
         """
-        spec = self.transporter
-        inertia = mass / spec.mass * spec.inertia[2]
-        reference = (spec.mass, spec.inertia[2]) if self.readings.relative_mass else (1.0, 1.0)
-        return torch.stack([reference[0] / mass, reference[1] / inertia], -1)
+        nominal = self.transporter.mass, self.inertia
+        reference = nominal if self.readings.relative_mass else (1.0, 1.0)
+        return torch.stack([reference[0] / mass, reference[1] / (mass / nominal[0] * nominal[1])], -1)
+
+    @cached_property
+    def inertia(self) -> float:
+        """Nominal moment of inertia about the vertical axis of P, kg m²."""
+        return self.transporter.inertia[2]
 
     def __call__(self, speeds: Tensor, tilt: Tensor, scale: Tensor, dt: float) -> Tensor:
         """Compute the speeds (v_f, ω_z) after one substep.
@@ -109,8 +126,8 @@ class DriveLaw:
             scale: from :meth:`mass_scale`, shape (N, 2).
             dt: substep, s.
         """
-        driving: Tensor = vars(self)["_driving"]
-        pushes = self.transporter.design.drive(tilt @ driving, speeds, self.transporter, self.readings)
+        driving: tuple[Tensor, ...] = vars(self)["_driving"]
+        pushes = self.transporter.design.drive(mix(tilt, driving), speeds, self.transporter, self.readings)
         return advance(speeds, pushes, self.transporter.resistance, scale, dt, self.readings)
 
 
@@ -137,8 +154,7 @@ class DriveHook(SubstepHook):
         self._armature = engine.nominal("dof_armature")[layout.planar_dof]
         n = engine.num_envs
         self.speeds = torch.zeros(n, 2, dtype=torch.float64)
-        self._scale, self._force = torch.empty(n, 2, dtype=torch.float64), torch.empty(n, 3, dtype=torch.float64)
-        self._inertia = torch.empty(n, 3, dtype=torch.float64)
+        self._scale, self._inertia = (torch.empty(n, size, dtype=torch.float64) for size in (2, 3))
         self.state = {"speeds": self.speeds}
         self.refresh(torch.arange(n))
 
@@ -153,21 +169,16 @@ class DriveHook(SubstepHook):
         mass = self.engine.fields["body_mass"][rows][:, self._boards].sum(-1)
         spec = self.law.transporter
         self._scale[rows] = self.law.mass_scale(mass)
-        self._inertia[rows] = self._armature + torch.stack([mass, mass, mass / spec.mass * spec.inertia[2]], -1)
+        self._inertia[rows] = self._armature + torch.stack([mass, mass, mass / spec.mass * self.law.inertia], -1)
 
     def apply(self, dt: float) -> None:
         """Evaluate the law at the current tilt and apply the force that realises it in one substep."""
-        engine, force = self.engine, self._force
+        engine = self.engine
         self.speeds.copy_(self.law(self.speeds, engine.qpos[:, self._tilt], self._scale, dt))
         speed, yaw_rate = self.speeds.unbind(-1)
-        heading = engine.qpos[:, self._heading] + dt * yaw_rate
-        torch.mul(speed, torch.cos(heading), out=force[:, 0])  # Eq. 2: first the velocity that is wanted
-        torch.mul(speed, torch.sin(heading), out=force[:, 1])
-        force[:, 2] = yaw_rate
-        force -= engine.qvel[:, self._planar]
-        force *= self._inertia
-        force /= dt
-        engine.qfrc_applied[:, self._planar] = force
+        heading = torch.add(engine.qpos[:, self._heading], yaw_rate, alpha=dt)
+        velocity = torch.stack([speed * torch.cos(heading), speed * torch.sin(heading), yaw_rate], -1)  # Eq. 2
+        engine.qfrc_applied[:, self._planar] = (velocity - engine.qvel[:, self._planar]).mul_(self._inertia).div_(dt)
 
     def lose(self, rows: Tensor) -> None:
         """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`: those stand still."""
@@ -176,4 +187,5 @@ class DriveHook(SubstepHook):
     def acceleration(self, rows: Tensor | slice = slice(None)) -> Tensor:
         """Compute v̇ and α that the law gives ``rows`` at their present tilt and speeds, m/s² and rad/s², (n, 2)."""
         speeds, tilt = self.speeds[rows], self.engine.qpos[rows][:, self._tilt]
-        return (self.law(speeds, tilt, self._scale[rows], TIMESTEP) - speeds) / TIMESTEP
+        with one_torch_thread():
+            return (self.law(speeds, tilt, self._scale[rows], TIMESTEP) - speeds) / TIMESTEP

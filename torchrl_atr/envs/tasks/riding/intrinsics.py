@@ -43,24 +43,24 @@ def riding_intrinsics(
     }
 
 
-def _platform_mass(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+def _platform_mass(fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Add a mass to the boards together, kg, (n, 1); their inertia grows in proportion."""
     nominal = scene.support.spec.mass
     share = (nominal + value[:, 0]).clamp_min(_MIN_MASS_SHARE * nominal) / nominal
     for body in scene.support_layout.board_bodies:
-        scale_body(fields, rows, int(body), share)
+        scale_body(fields, int(body), share)
 
 
-def _stiffness(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+def _stiffness(fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Set the hinges' stiffness, N m/rad, in Table II's order (roll, pitch; or right, left), (n, 2)."""
     layout = scene.support_layout
-    fields["jnt_stiffness"][rows[:, None], torch.as_tensor(layout.tilt_joints)] = value[:, layout.tilt_gains]
+    fields["jnt_stiffness"][:, layout.tilt_joints] = value[:, layout.tilt_gains]
 
 
-def _damping(fields: ModelFields, rows: Tensor, value: Tensor, scene: Scene) -> None:
+def _damping(fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Set the hinges' damping, N m s/rad, likewise, (n, 2)."""
     layout = scene.support_layout
-    fields["dof_damping"][rows[:, None], torch.as_tensor(layout.tilt_dof)] = value[:, layout.tilt_gains]
+    fields["dof_damping"][:, layout.tilt_dof] = value[:, layout.tilt_gains]
 
 
 def _sides(scene: Scene) -> Tensor:
