@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import import_modules
@@ -20,7 +18,7 @@ from torchrl_atr.envs.profiles import PROFILES
 from torchrl_atr.envs.task.state import CONTROL_DT
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import SOURCES, Source
-from torchrl_atr.training.ranges import BOUNDS, RANGES, plain, wrong_kind
+from torchrl_atr.training.ranges import BOUNDS, RANGES, plain, wrong_device, wrong_kind
 
 COLLECTORS = ("direct", "process", "ray", "distributed")
 """Engines that collect batches."""
@@ -86,6 +84,8 @@ class TrainConfig:
         normalize_targets: whether the extrinsic estimator's errors are measured in standard deviations (A25).
         steering_cue: whether the actor also reads tanh(c_v) c_ω, which has the sign of the lean that turns.
         privileged_critic: whether the critic reads more than the observation (A20).
+        tracking_forecast: whether a privileged critic also reads the outlook: what drives the board, and what tracking
+            will be if that lasts.
         student_fraction: share of the robots that act on the estimates under ``mixed``.
         history_length: H.
         critic_cells: hidden widths of the critic; the actor's are Table I's.
@@ -152,6 +152,7 @@ class TrainConfig:
     symmetric: bool = True
     normalize_targets: bool = True
     privileged_critic: bool = True
+    tracking_forecast: bool = True
     student_fraction: float = 0.5
     history_length: int = 10
     critic_cells: tuple[int, ...] = (256, 128, 64)
@@ -208,7 +209,8 @@ class TrainConfig:
         if self.collector != "direct":
             self._check_share("workers")
         self._check_learners()
-        _check_device(self.device)
+        if problem := wrong_device(self.device):
+            raise ConfigError(problem)
         if self.learning_rate > self.max_learning_rate:
             raise ConfigError(
                 f"learning_rate={self.learning_rate:g} must not exceed max_learning_rate={self.max_learning_rate:g}, "
@@ -293,15 +295,3 @@ class TrainConfig:
     def to_dict(self) -> dict[str, Any]:
         """As plain JSON values."""
         return json.loads(json.dumps(dataclasses.asdict(self)))
-
-
-def _check_device(name: str) -> None:
-    try:
-        device = torch.device(name)
-    except RuntimeError as error:
-        raise ConfigError(f"device={name!r} is unknown; use 'cpu' or 'cuda'") from error
-    if device.type not in ("cpu", "cuda"):
-        raise ConfigError(f"device={name!r} is not supported; use 'cpu' or 'cuda'")
-    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        found = torch.cuda.device_count() or "no"
-        raise ConfigError(f"device={name!r}: torch finds {found} CUDA device here; use 'cpu'")

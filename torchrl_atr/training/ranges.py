@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
 
 from torchrl_atr._checks import check_flag, check_kind, check_whole
 from torchrl_atr._errors import InputError
@@ -109,3 +110,22 @@ def plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(plain(part) for part in value)
     return value.item() if isinstance(value, np.generic) else value
+
+
+def wrong_device(name: str) -> str | None:
+    """Return what is wrong with the name of a learner's device on this machine; None for nothing.
+
+    Example:
+        >>> wrong_device("cpu"), wrong_device("tpu:0")
+        (None, "device='tpu:0' is unknown; use 'cpu' or 'cuda'")
+    """
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        return f"device={name!r} is unknown; use 'cpu' or 'cuda'"
+    if device.type not in ("cpu", "cuda"):
+        return f"device={name!r} is not supported; use 'cpu' or 'cuda'"
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        found = torch.cuda.device_count() or "no"
+        return f"device={name!r}: torch finds {found} CUDA device here; use 'cpu'"
+    return None
