@@ -35,7 +35,7 @@ RECIPE = {
     "anneal_from": 0.5,
     "anneal_until": 0.8,
     "final_std": 0.08,
-    "steering_emphasis": 3.0,
+    "steering_weight_peak": 3.0,
 }
 """What differs from the default recipe: commands stay near what the bar is about, more robots start from rest, where
 most falls are, and steering, which is learned last, counts more until it has."""

@@ -193,7 +193,7 @@ _RIDE = """
 import sys, torch
 torch.set_default_dtype(getattr(torch, sys.argv[1]))
 from torchrl_atr.envs import make_riding_env
-from torchrl_atr.modules import leg_synergies, make_networks
+from torchrl_atr.modules import Exploration, leg_synergies, make_networks
 torch.manual_seed(0)
 env = make_riding_env(num_envs=3, seed=0, num_threads=1, max_steps=20, window=15, stagger=5, retry=0.5,
                       moving_start=0.5, runaway_margin=(2.0, 2.0))
@@ -205,7 +205,7 @@ for _ in range(60):
 assert env.observation_spec["observation"].dtype == torch.float32
 assert all(value.dtype == torch.float32 for value in env.base_env.reflections.values())
 networks = make_networks(env.observation_spec, env.action_spec, reflections=env.base_env.reflections,
-                         noise_basis=leg_synergies())
+                         exploration=Exploration(12, basis=leg_synergies()), output_map=leg_synergies().T)
 assert env.rollout(2, networks.rollout_policy("mixed"))["action"].dtype == torch.float32
 print(repr(total))
 """
@@ -331,6 +331,10 @@ def test_wrong_kinds_of_the_transforms_arguments_are_named(provoke, name):
         ("privileged_critic", 1),
         ("estimator_kwargs", 3),
         ("reflections", 3),
+        ("estimator_inputs", "odometry"),
+        ("critic_inputs", 3),
+        ("exploration", 0.3),
+        ("output_map", 2.0),
         ("keys", "observation"),
         ("action_spec", None),
         ("observation_spec", {}),

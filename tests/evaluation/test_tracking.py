@@ -183,7 +183,7 @@ def _riding(num_envs, seed):
 def test_the_deployed_policy_on_the_real_env():
     """Two commands, two robots each, a second: all is finite, and the same seed gives the same figures."""
     env = _riding(1, 0)
-    networks = make_networks(env.observation_spec, env.action_spec, estimator="mlp")
+    networks = make_networks(env.observation_spec, env.action_spec, estimator="mlp", estimator_inputs=["odometry"])
     run = partial(
         evaluate_tracking,
         networks.deployed_policy(),

@@ -1,4 +1,4 @@
-"""The actor's inputs beyond Table I: products of observations."""
+"""The actor beyond Table I: products of observations as inputs, and a map of its outputs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from torchrl_atr.modules import ActorBackbone, RunningNormalizer
 from torchrl_atr.modules.actor import PRODUCT_SCALE
 
 
-def backbone(products: list[tuple[int, int]]) -> ActorBackbone:
+def backbone(products: list[tuple[int, int]] = (), **options) -> ActorBackbone:
     torch.manual_seed(0)
-    return ActorBackbone(RunningNormalizer(3), RunningNormalizer(1), 1, 2, cells=(), products=products)
+    return ActorBackbone(RunningNormalizer(3), RunningNormalizer(1), 1, 2, cells=(), products=products, **options)
 
 
 def test_a_product_is_one_more_input_with_the_sign_of_both():
@@ -21,9 +21,9 @@ def test_a_product_is_one_more_input_with_the_sign_of_both():
     assert layer.in_features == 3 + 1 + 1 + 1
     x = torch.tensor([[0.0, 0.5, -2.0]])
     rest = torch.zeros(1, 1)
-    mean = actor(x, rest, rest)[0] + actor(-x, rest, rest)[0] - 2 * actor(0 * x, rest, rest)[0]
+    mean = actor(x, rest, rest) + actor(-x, rest, rest) - 2 * actor(0 * x, rest, rest)
     gated = PRODUCT_SCALE * torch.tanh(torch.tensor(0.5)) * -2.0
-    expected = 2 * (layer.weight[:, 3] * gated) @ actor.head
+    expected = 2 * layer.weight[:, 3] * gated
     torch.testing.assert_close(mean[0], expected, rtol=1e-4, atol=1e-6)
 
 
@@ -31,3 +31,21 @@ def test_a_product_is_one_more_input_with_the_sign_of_both():
 def test_products_beyond_the_observation_are_refused(pair):
     with pytest.raises(ValueError, match="names entries beyond the observation's 3"):
         backbone([pair])
+
+
+def test_an_output_moves_the_mean_along_its_row_of_the_map():
+    rows = torch.tensor([[2.0, 0.0], [0.3, -0.1]])
+    x, rest = torch.randn(4, 3), torch.randn(4, 1)
+    plain, mapped = (actor(x, rest, rest) for actor in (backbone(), backbone(output_map=rows)))
+    torch.testing.assert_close(mapped, plain[:, :1] * rows[0] + plain[:, 1:] * rows[1])
+
+
+def test_a_map_is_saved_with_the_weights_and_the_identity_is_nothing():
+    assert "output_map" in backbone(output_map=torch.eye(2)).state_dict()
+    assert "output_map" not in backbone().state_dict()
+
+
+@pytest.mark.parametrize("output_map", [torch.eye(3), torch.ones(2, 2), torch.zeros(2, 2)])
+def test_a_map_without_an_inverse_is_refused(output_map):
+    with pytest.raises(ValueError, match=r"output_map must be an invertible matrix, \(2, 2\)"):
+        backbone(output_map=output_map)

@@ -1,4 +1,4 @@
-"""Correlated exploration: the marginal and the log-probability of the policy, and noise that lasts."""
+"""Exploration: its size, its directions, and noise that lasts with the policy's own marginal and log-probability."""
 
 from __future__ import annotations
 
@@ -10,12 +10,68 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl_atr.modules import (
     ActorBackbone,
     CorrelatedGaussian,
+    Exploration,
     RunningNormalizer,
     SynergyNormal,
     correlate,
     leg_synergies,
     make_actor,
 )
+
+INPUTS = torch.zeros(1, 5), torch.zeros(1, 3), torch.zeros(1, 4)
+
+
+def backbone(actions: int = 2) -> ActorBackbone:
+    torch.manual_seed(0)
+    return ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, actions)
+
+
+@pytest.mark.parametrize("raw", [-50.0, -5.0, 5.0])
+def test_std_keeps_its_floor_and_a_gradient_near_it(raw):
+    exploration = Exploration(1, 0.3, 0.05)
+    with torch.no_grad():
+        exploration.raw.fill_(raw)
+    value = exploration.std()
+    assert value.item() >= 0.05
+    value.sum().backward()
+    assert exploration.raw.grad.item() > 0
+
+
+def test_a_cap_lowers_the_std_and_keeps_its_gradient():
+    exploration = Exploration(3, [0.3, 0.2, 0.1], 0.05)
+    exploration.cap_(0.2)
+    torch.testing.assert_close(exploration.std(), torch.tensor([0.2, 0.2, 0.1]))
+    exploration.std().sum().backward()
+    assert (exploration.raw.grad > 0).all()
+    with pytest.raises(ValueError, match=r"ceiling must be above min_std=0\.05, got 0\.05"):
+        exploration.cap_(0.05)
+
+
+def test_std_rejects_a_floor_above_the_start():
+    with pytest.raises(ValueError, match=r"min_std=0\.4"):
+        Exploration(2, init_std=0.3, min_std=0.4)
+
+
+def test_the_exploration_does_not_scale_the_mean():
+    """Neither at first nor later: the same weights give the same mean action."""
+    td = TensorDict(observation=torch.randn(6, 5), act={"intrinsic": torch.randn(6, 3), "extrinsic": torch.randn(6, 4)})
+    td.batch_size = [6]
+    actor, small = backbone(), Exploration(2, [1.0, 0.3])
+    means = [make_actor(actor, each).get_dist(td).mean for each in (Exploration(2, 0.1), small)]
+    small.cap_(0.1)
+    means.append(make_actor(actor, small).get_dist(td).mean)
+    assert torch.equal(means[0], means[1])
+    assert torch.equal(means[0], means[2])
+
+
+def test_without_a_basis_each_action_is_explored_by_itself():
+    actor = make_actor(backbone(), Exploration(2, [0.5, 0.1]))
+    td = TensorDict(observation=INPUTS[0], act={"intrinsic": INPUTS[1], "extrinsic": INPUTS[2]}, batch_size=[1])
+    value = torch.randn(1, 2)
+    dist = actor.get_dist(td)
+    expected = torch.distributions.Normal(dist.mean, torch.tensor([0.5, 0.1])).log_prob(value).sum(-1)
+    torch.testing.assert_close(dist.log_prob(value), expected)
+    assert Exploration(2).state_dict().keys() == {"raw"}
 
 
 def sample(explore: CorrelatedGaussian, steps: int, rows: int = 2000) -> torch.Tensor:
@@ -84,8 +140,7 @@ def test_synergy_normal_is_the_multivariate_normal_of_its_basis():
 
 def test_correlate_keeps_the_actors_distribution():
     torch.manual_seed(0)
-    norms = RunningNormalizer(5), RunningNormalizer(4)
-    actor = make_actor(ActorBackbone(*norms, 3, 12, init_std=[0.5] * 3 + [0.1] * 9, noise_basis=leg_synergies()))
+    actor = make_actor(backbone(12), Exploration(12, [0.5] * 3 + [0.1] * 9, basis=leg_synergies()))
     td = TensorDict(observation=torch.randn(6, 5), act={"intrinsic": torch.randn(6, 3), "extrinsic": torch.randn(6, 4)})
     td.batch_size = [6]
     with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
@@ -96,4 +151,4 @@ def test_correlate_keeps_the_actors_distribution():
 @pytest.mark.parametrize("basis", [torch.ones(2, 2), torch.eye(3)])
 def test_a_bad_basis_is_refused(basis):
     with pytest.raises(ValueError, match="needs 2 orthonormal columns of 2"):
-        ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2, noise_basis=basis)
+        Exploration(2, basis=basis)

@@ -8,7 +8,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import IndependentNormal
 
-from torchrl_atr.modules import IntrinsicEncoder, NetworkKeys, StateIndependentStd, make_networks
+from torchrl_atr.modules import Exploration, IntrinsicEncoder, NetworkKeys, make_networks
 
 SOURCES = ["privileged", "estimated", "mixed"]
 
@@ -34,7 +34,7 @@ def test_default_networks_are_those_of_table_1():
     assert linear_sizes(nets.critic) == [(96, 512), (512, 256), (256, 128), (128, 1)]
     assert [type(m) for m in nets.encoder.net if not isinstance(m, nn.Linear)] == [nn.ELU, nn.ELU]
     assert sum(isinstance(m, nn.ELU) for m in nets.backbone.net) == 3
-    torch.testing.assert_close(nets.backbone.std(), torch.full((12,), 0.3))
+    torch.testing.assert_close(nets.exploration.std(), torch.full((12,), 0.3))
 
 
 def test_encoder_has_no_output_activation():
@@ -45,32 +45,6 @@ def test_encoder_has_no_output_activation():
         last.bias.fill_(-5.0)
         last.weight.zero_()
     assert torch.equal(encoder(torch.randn(1, 3)), torch.full((1, 2), -5.0))
-
-
-@pytest.mark.parametrize("raw", [-50.0, -5.0, 5.0])
-def test_std_keeps_its_floor_and_a_gradient_near_it(raw):
-    std = StateIndependentStd(1, 0.3, 0.05)
-    with torch.no_grad():
-        std.raw.fill_(raw)
-    value = std()
-    assert value.item() >= 0.05
-    value.sum().backward()
-    assert std.raw.grad.item() > 0
-
-
-def test_a_cap_lowers_the_std_and_keeps_its_gradient():
-    std = StateIndependentStd(3, [0.3, 0.2, 0.1], 0.05)
-    std.cap_(0.2)
-    torch.testing.assert_close(std(), torch.tensor([0.2, 0.2, 0.1]))
-    std().sum().backward()
-    assert (std.raw.grad > 0).all()
-    with pytest.raises(ValueError, match=r"ceiling must be above min_std=0\.05, got 0\.05"):
-        std.cap_(0.05)
-
-
-def test_std_rejects_a_floor_above_the_start():
-    with pytest.raises(ValueError, match=r"min_std=0\.4"):
-        StateIndependentStd(2, init_std=0.3, min_std=0.4)
 
 
 @pytest.mark.parametrize(
@@ -195,6 +169,59 @@ def test_a_critic_without_privileges_reads_the_observation_alone(spec):
     assert nets.critic_module.in_keys == ["observation"]
     nets.update_normalizers(spec.rand())
     assert nets.critic_module(spec.rand().select("observation"))["state_value"].shape == (5, 1)
+
+
+@pytest.fixture
+def fuller(spec):
+    """The spec of an env that offers more: velocities by dead reckoning, and what the critic alone may see."""
+    extra = Composite(
+        odometry=Unbounded((5, 2)), privileged=Composite(outlook=Unbounded((5, 8)), shape=(5,)), shape=(5,)
+    )
+    return spec.clone().update(extra)
+
+
+def test_what_an_env_offers_is_not_read_unless_it_is_asked_for(spec, fuller):
+    options = {"estimator": "mlp", "actor_cells": (16,), "critic_cells": (16,)}
+    plain, offered = (make_networks(each, Unbounded((5, 2)), **options) for each in (spec, fuller))
+    assert linear_sizes(offered) == linear_sizes(plain)
+    assert offered.state_dict().keys() == plain.state_dict().keys()
+    assert set(offered.deployed_policy().in_keys) == {"history", "observation"}
+    asked = make_networks(
+        fuller,
+        Unbounded((5, 2)),
+        estimator_inputs=["odometry"],
+        critic_inputs=[("privileged", "outlook"), "odometry"],
+        **options,
+    )
+    assert set(asked.deployed_policy().in_keys) == {"history", "observation", "odometry"}
+    assert asked.critic_module.in_keys[-2:] == [("privileged", "outlook"), "odometry"]
+    assert linear_sizes(asked.critic)[0][0] == linear_sizes(plain.critic)[0][0] + 8 + 2
+    assert linear_sizes(asked.extrinsic_estimator)[0][0] == 4 * (7 + 2)
+    asked.update_normalizers(fuller.rand())
+    assert [int(norm.count) for norm in asked.critic.input_norms] == [5, 5]
+    assert asked.critic_module(fuller.rand())["state_value"].shape == (5, 1)
+
+
+@pytest.mark.parametrize("argument", ["estimator_inputs", "critic_inputs"])
+def test_an_input_that_the_spec_lacks_is_named(spec, argument):
+    with pytest.raises(KeyError, match=rf"{argument} names 'odometry', which the spec lacks"):
+        make_networks(spec, Unbounded((5, 2)), **{argument: ["odometry"]})
+
+
+def test_a_critic_without_privileges_may_read_more_than_the_observation(fuller):
+    options = {"privileged_critic": False, "critic_inputs": ["odometry"], "critic_cells": (16,)}
+    nets = make_networks(fuller, Unbounded((5, 2)), **options)
+    assert nets.critic_module.in_keys == ["observation", "odometry"]
+    assert nets.critic_module(fuller.rand())["state_value"].shape == (5, 1)
+
+
+def test_an_exploration_of_another_size_is_refused_and_one_that_fits_is_part_of_the_networks(spec):
+    with pytest.raises(ValueError, match="exploration is of 3 actions and the action spec has 2"):
+        make_networks(spec, Unbounded((5, 2)), exploration=Exploration(3))
+    exploration = Exploration(2, [0.2, 0.1])
+    nets = make_networks(spec, Unbounded((5, 2)), exploration=exploration)
+    assert nets.exploration is exploration
+    assert any(parameter is exploration.raw for parameter in nets.policy_parameters())
 
 
 def test_policies_share_their_parameters(networks):

@@ -9,6 +9,7 @@ from torchrl.data import Composite, Unbounded
 
 from torchrl_atr.modules import (
     ActorBackbone,
+    Exploration,
     IntrinsicEncoder,
     NetworkKeys,
     RunningNormalizer,
@@ -42,9 +43,8 @@ SPEC = Composite(
 
 def networks(**options):
     torch.manual_seed(0)
-    nets = make_networks(
-        SPEC, Unbounded((12,)), noise_basis=leg_synergies(), products=[(3, 4)], reflections=MIRROR, **options
-    )
+    options = {"exploration": Exploration(12, basis=leg_synergies()), "output_map": leg_synergies().T, **options}
+    nets = make_networks(SPEC, Unbounded((12,)), products=[(3, 4)], reflections=MIRROR, **options)
     data = SPEC.expand(64).rand()
     data["observation"] += torch.tensor([3.0, 0.0, 1.0, 0.0, -1.0])  # no symmetric statistics of their own
     nets.update_normalizers(data)
@@ -121,8 +121,29 @@ def test_the_mirrored_robot_acts_mirrored_and_is_worth_the_same():
     assert values[0].std() > 0.1
 
 
+@pytest.mark.parametrize(
+    "output_map",
+    [
+        None,
+        torch.logspace(-8, 1, 12).unsqueeze(-1) * leg_synergies().T,
+        torch.diag(torch.tensor([1.0, 2.0, 3.0]).repeat(4)),
+    ],
+    ids=["identity", "gains of all sizes", "alike in both sides' legs"],
+)
+def test_the_mean_is_mirrored_whatever_the_output_map(output_map):
+    nets, data = networks(output_map=output_map)
+    actor = nets.training_actor("privileged")
+    means = [actor.get_dist(part).mean for part in (data, mirrored(data))]
+    torch.testing.assert_close(means[1], means[0] @ MIRROR["action"].T, atol=1e-5, rtol=1e-4)
+
+
+def test_an_output_map_that_treats_sides_apart_is_refused():
+    with pytest.raises(ValueError, match="its own inverse"):
+        networks(output_map=torch.diag(torch.arange(1.0, 13.0)))
+
+
 def test_log_probabilities_are_those_of_the_mirror_image():
-    nets, data = networks(init_std=[0.3] * 3 + [0.1] * 9)
+    nets, data = networks(exploration=Exploration(12, [0.3] * 3 + [0.1] * 9, basis=leg_synergies()))
     actor = nets.training_actor("privileged")
     action = torch.randn(64, 12) * 0.2
     here = actor.get_dist(data).log_prob(action)

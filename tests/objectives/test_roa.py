@@ -1,20 +1,30 @@
 from __future__ import annotations
 
+from collections import Counter
+
 import pytest
 import torch
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule
+from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule
 from torch import nn
 from torchrl.data import Unbounded
 from torchrl.modules import ProbabilisticActor, ValueOperator
 from torchrl.modules.distributions import IndependentNormal
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
-from torchrl_atr.modules import NetworkKeys, RunningNormalizer, make_networks
+from torchrl_atr.modules import (
+    ActorBackbone,
+    AsymmetricCritic,
+    IntrinsicEncoder,
+    NetworkKeys,
+    RunningNormalizer,
+    make_networks,
+)
 from torchrl_atr.objectives import ROAClipPPOLoss
 
 SOURCES = ["privileged", "estimated", "mixed"]
 TERMS = {"loss_objective", "loss_entropy", "loss_critic", "loss_intrinsic", "loss_roa", "loss_extrinsic"}
+POLICY = {"backbone", "exploration", "encoder", "critic"}
 
 
 def losses_of(td) -> dict[str, torch.Tensor]:
@@ -22,7 +32,7 @@ def losses_of(td) -> dict[str, torch.Tensor]:
 
 
 def groups(networks) -> dict[str, list[nn.Parameter]]:
-    named = ["encoder", "backbone", "critic", "intrinsic_estimator", "extrinsic_estimator"]
+    named = ["encoder", "backbone", "exploration", "critic", "intrinsic_estimator", "extrinsic_estimator"]
     return {name: list(getattr(networks, name).parameters()) for name in named}
 
 
@@ -39,10 +49,10 @@ def touched(networks) -> set[str]:
 @pytest.mark.parametrize(
     ("term", "source", "receives"),
     [
-        ("loss_objective", "privileged", {"backbone", "encoder"}),
-        ("loss_objective", "mixed", {"backbone", "encoder"}),
-        ("loss_objective", "estimated", {"backbone"}),
-        ("loss_entropy", "privileged", {"backbone"}),
+        ("loss_objective", "privileged", {"backbone", "exploration", "encoder"}),
+        ("loss_objective", "mixed", {"backbone", "exploration", "encoder"}),
+        ("loss_objective", "estimated", {"backbone", "exploration"}),
+        ("loss_entropy", "privileged", {"exploration"}),
         ("loss_critic", "privileged", {"critic"}),
         ("loss_intrinsic", "privileged", {"intrinsic_estimator"}),
         ("loss_roa", "privileged", {"encoder"}),
@@ -59,11 +69,11 @@ def test_gradients_reach_only_their_network(networks, make_loss, make_batch, fun
 @pytest.mark.parametrize(
     ("method", "terms", "receives"),
     [
-        ("forward", TERMS, {"backbone", "encoder", "critic", "intrinsic_estimator", "extrinsic_estimator"}),
+        ("forward", TERMS, POLICY | {"intrinsic_estimator", "extrinsic_estimator"}),
         (
             "policy_loss",
             {"loss_objective", "loss_entropy", "loss_critic", "loss_roa"},
-            {"backbone", "encoder", "critic"},
+            POLICY,
         ),
         (
             "adaptation_loss",
@@ -89,6 +99,48 @@ def test_entry_points_agree(make_loss, make_batch, source):
     assert set(parts) == set(whole)
     for key, value in whole.items():
         torch.testing.assert_close(parts[key], value, msg=key)
+
+
+@pytest.mark.parametrize("functional", [True, False])
+@pytest.mark.parametrize("method", ["forward", "policy_loss"])
+@pytest.mark.parametrize("source", SOURCES)
+def test_actor_and_encoder_run_once(monkeypatch, make_loss, make_batch, source, method, functional):
+    """Whatever the terms read of them, the smoothness's mean action and the latent of ``loss_roa`` included."""
+    loss, batch, runs = make_loss(source, functional=functional, smoothness_coeff=1.0), make_batch(source), Counter()
+    loss.value_estimator(batch)
+    batch["previous_mean"] = batch["loc"] + 1.0
+
+    def counted(kind):
+        forward = kind.forward
+
+        def run(self, *inputs):
+            runs[kind.__name__] += 1
+            return forward(self, *inputs)
+
+        return run
+
+    for kind in (ActorBackbone, IntrinsicEncoder, AsymmetricCritic):
+        monkeypatch.setattr(kind, "forward", counted(kind))
+    sum(losses_of(getattr(loss, method)(batch)).values()).backward()
+    assert runs == {"ActorBackbone": 1, "IntrinsicEncoder": 1, "AsymmetricCritic": 1}
+
+
+def test_nothing_is_kept_from_a_pass(make_loss, make_batch):
+    loss, batch = make_loss(smoothness_coeff=1.0, functional=False), make_batch()
+    loss.value_estimator(batch)
+    batch["previous_mean"] = batch["loc"]
+    before = set(vars(loss))
+    loss.policy_loss(batch)
+    assert set(vars(loss)) == before
+    assert not [name for name, value in vars(loss).items() if isinstance(value, torch.Tensor)]
+
+
+def test_an_actor_that_samples_in_several_modules_is_refused(networks):
+    actor = networks.training_actor()
+    chain = ProbabilisticTensorDictSequential(actor, *actor.module, return_composite=True)
+    parts = networks.critic_module, networks.encoder_module, networks.intrinsic_estimator_module
+    with pytest.raises(TypeError, match="whose last module alone samples"):
+        ROAClipPPOLoss(chain, *parts, networks.extrinsic_estimator_module)
 
 
 @pytest.mark.parametrize("source", SOURCES)

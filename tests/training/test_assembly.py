@@ -1,12 +1,15 @@
-"""The env that a configuration describes, in training and deployed."""
+"""The env and the networks that a configuration describes, in training and deployed."""
 
 from __future__ import annotations
 
+import pytest
 import torch
 
-from torchrl_atr.training import DEPLOYED, make_config, make_env
+from torchrl_atr.modules import leg_synergies
+from torchrl_atr.training import DEPLOYED, make_config, make_env, make_run_networks
 from torchrl_atr.training.assembly import TOGETHER
 
+TRUTH = {("privileged", "intrinsic"), ("privileged", "extrinsic")}
 CONFIG = make_config({"num_envs": 64, "max_speed": 3.0, "max_yaw_rate": 1.0, "num_threads": 1})
 
 
@@ -30,3 +33,27 @@ def test_a_deployed_policy_starts_at_the_beginning_and_takes_any_command():
     start = env.reset()
     assert start["command"].tolist() == [[15.0, -2.0]] * 2
     assert not start["step_count"].any()
+
+
+@pytest.mark.parametrize(
+    ("settings", "policy", "critic"),
+    [
+        ({}, {"odometry"}, TRUTH | {("privileged", "outlook")}),
+        ({"dead_reckoning": False, "tracking_forecast": False}, set(), TRUTH),
+        ({"privileged_critic": False}, {"odometry"}, set()),
+    ],
+)
+def test_settings_say_what_networks_read(settings, policy, critic):
+    config = make_config({"num_envs": 2, "num_threads": 1, "critic_cells": [8], **settings})
+    networks = make_run_networks(config, make_env(config))
+    assert set(networks.deployed_policy().in_keys) == {"observation", "history"} | policy
+    assert set(networks.critic_module.in_keys) == {"observation"} | critic
+
+
+def test_outputs_move_directions_of_exploration_with_the_gains_of_their_first_variances():
+    config = make_config({"num_envs": 1, "init_std": 0.3, "relative_std": 0.1, "num_threads": 1})
+    networks, basis = make_run_networks(config, make_env(config)), leg_synergies()
+    assert torch.equal(networks.exploration.basis, basis)
+    torch.testing.assert_close(networks.exploration.std(), torch.tensor([0.3] * 3 + [0.1] * 9))
+    gains = torch.tensor([0.3] * 3 + [0.1**2 / 0.3] * 9)
+    torch.testing.assert_close(networks.backbone.output_map, gains.unsqueeze(-1) * basis.T)

@@ -66,5 +66,14 @@ def test_missing_and_foreign(tmp_path):
     with pytest.raises(CheckpointError, match="there is no checkpoint at"):
         load_checkpoint(tmp_path)
     torch.save({"version": 99}, tmp_path / "checkpoint.pt")
-    with pytest.raises(CheckpointError, match="checkpoint version 99; this code reads version 1"):
+    with pytest.raises(CheckpointError, match="checkpoint version 99; this code reads version 2"):
         load_checkpoint(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["checkpoint.pt", "best.pt"])
+def test_one_of_an_earlier_version_says_how_it_is_converted_and_has_no_stand_in(tmp_path, name):
+    run = tmp_path / "my run"
+    save_checkpoint(run / "previous.pt", {"frames": 1})
+    torch.save({"version": 1, "frames": 2}, run / name)
+    with pytest.raises(CheckpointError, match=rf"convert it with `python scripts/convert_run\.py '{run}'`"):
+        load_checkpoint(run if name == "checkpoint.pt" else run / name)

@@ -23,11 +23,11 @@ def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp)
     half = 0.3 / 3**0.5, 0.02
     for progress, ceiling, kl in ((0.0, 0.3, 0.03), (0.4, 0.3, 0.03), (0.6, *half), (0.8, 0.1, 0.01), (1.2, 0.1, 0.01)):
         learner.anneal(progress)
-        assert float(learner.networks.backbone.std().detach().max()) == pytest.approx(ceiling, abs=1e-5)
+        assert float(learner.networks.exploration.std().detach().max()) == pytest.approx(ceiling, abs=1e-5)
         assert learner.schedule.target_kl == pytest.approx(kl)
         expected = 0.2 * min(progress, 1.0) if ramp else 0.2
         assert float(learner.loss.roa_coeff) == pytest.approx(expected)
-    assert torch.isfinite(learner.networks.backbone.std.raw).all()
+    assert torch.isfinite(learner.networks.exploration.raw).all()
 
 
 @pytest.mark.parametrize(("final", "last"), [(1.0, 2.0), (3.0, 3.5), (5.0, 5.0)])

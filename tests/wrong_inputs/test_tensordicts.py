@@ -14,7 +14,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._registry import UnknownNameError
 from torchrl_atr.envs import RidingEnv, make_riding_env
 from torchrl_atr.envs.transforms import CommandCurriculum, ObservationHistory
-from torchrl_atr.modules import AssignActSource, NetworkKeys, make_networks, register_estimator
+from torchrl_atr.modules import AssignActSource, Exploration, NetworkKeys, make_networks, register_estimator
 from torchrl_atr.objectives import ROAClipPPOLoss
 
 NAN = float("nan")
@@ -25,7 +25,7 @@ def given():
     """Two robots, their networks, a batch, its loss; ``step(name=value)`` steps the bare env with such entries."""
     base, env = (make(num_envs=2, num_threads=1, seed=0) for make in (RidingEnv, make_riding_env))
     spec = env.observation_spec
-    nets = make_networks(spec, env.action_spec, actor_cells=[8], critic_cells=[8])
+    nets = make_networks(spec, env.action_spec, actor_cells=[8], critic_cells=[8], estimator_inputs=["odometry"])
     with torch.no_grad():
         batch = env.rollout(2, nets.rollout_policy("mixed"))
     parts = (nets.critic_module, nets.encoder_module, nets.intrinsic_estimator_module, nets.extrinsic_estimator_module)
@@ -104,7 +104,9 @@ def _action(value=0.0, size=12):
         (lambda g: g.networks(spec={"history": Unbounded((2, 10, 45))}), ValueError, "(10, 45)", "must end with (H, "),
         (lambda g: g.networks(keys=NetworkKeys(observation="observe")), KeyError, "'observe'", "'observation'?"),
         (lambda g: g.networks(estimator="gru"), UnknownNameError, "'gru'", "did you mean 'cnn_gru'?"),
-        (lambda g: g.networks(init_std=[0.1, 0.2]), ValueError, "got 2", "one value or 12"),
+        (lambda g: Exploration(12, [0.1, 0.2]), ValueError, "got 2", "one value or 12"),
+        (lambda g: g.networks(exploration=Exploration(2)), ValueError, "is of 2 actions", "give Exploration(12, ...)"),
+        (lambda g: g.networks(critic_inputs=["odo"]), KeyError, "critic_inputs names 'odo'", "Leave it out, or add"),
         (
             lambda g: g.nets.deployed_policy()(g.batch[:, 0].set("history", torch.zeros(2, 5, 46))),
             ValueError,

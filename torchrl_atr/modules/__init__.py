@@ -1,11 +1,12 @@
 """Networks as TensorDictModules: they know keys and shapes, never an env.
 
-The encoder, the estimators (a registry and a conformance check), the actor, the critic, what the actor acts
-on, and :func:`make_networks`, which builds them all from an env's specs.
+The encoder, the estimators (a registry and a conformance check), the actor, its exploration, the critic, what the
+actor acts on, and :func:`make_networks`, which builds them all from an env's specs.
 """
 
 from torchrl_atr.modules.act_source import SOURCES, ActSource, AssignActSource, Source
-from torchrl_atr.modules.actor import ActorBackbone, StateIndependentStd, make_actor
+from torchrl_atr.modules.action_noise import CorrelatedGaussian, SynergyNormal, correlate
+from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.checks import check_estimator
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.encoder import IntrinsicEncoder
@@ -18,9 +19,10 @@ from torchrl_atr.modules.estimators import (
     get_estimator,
     register_estimator,
 )
-from torchrl_atr.modules.exploration import CorrelatedGaussian, SynergyNormal, correlate, leg_synergies
+from torchrl_atr.modules.exploration import Exploration, leg_synergies
 from torchrl_atr.modules.keys import NetworkKeys
-from torchrl_atr.modules.networks import RidingNetworks, make_networks
+from torchrl_atr.modules.network_factory import make_networks
+from torchrl_atr.modules.networks import RidingNetworks
 from torchrl_atr.modules.normalization import RunningNormalizer
 from torchrl_atr.modules.placement import OnDevice
 from torchrl_atr.modules.symmetry import SymmetricLinear, symmetric_mlp
@@ -34,6 +36,7 @@ __all__ = [
     "CNNGRUEstimator",
     "CorrelatedGaussian",
     "EstimatorError",
+    "Exploration",
     "IntrinsicEncoder",
     "MLPEstimator",
     "NetworkKeys",
@@ -42,7 +45,6 @@ __all__ = [
     "RidingNetworks",
     "RunningNormalizer",
     "Source",
-    "StateIndependentStd",
     "SymmetricLinear",
     "SynergyNormal",
     "available_estimators",

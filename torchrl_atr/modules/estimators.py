@@ -233,15 +233,16 @@ class MLPEstimator(nn.Module):
 
 
 class NormalizedEstimator(nn.Module):
-    """An estimator between normalisers: raw history in, estimate in the units of its target out.
+    """Run an estimator between normalisers: raw history in, estimate in the units of its target out.
 
     Args:
-        net (nn.Module): maps (*B, H, D) to (*B, out_features), both normalised; (*B, H, D + S) with a side input.
+        net (nn.Module): maps (*B, H, D) to (*B, out_features), both normalised; (*B, H, D + S) with side inputs of S
+            components in all.
         input_norm (RunningNormalizer): of one observation, (D,); applied to every step of the history.
         output_norm (RunningNormalizer, optional): of the target; its inverse is applied to the output.
             Without it the output is returned as it is.
-        side_norm (RunningNormalizer, optional): of a side input, (S,), that is appended to every step of the
-            history, so that any estimator of histories can read it.
+        side_norms (sequence of RunningNormalizer): of side inputs, one for each, which are appended to every step of
+            the history, so that any estimator of histories can read them. Defaults to none.
 
     Examples:
         >>> import torch
@@ -255,19 +256,19 @@ class NormalizedEstimator(nn.Module):
         net: nn.Module,
         input_norm: RunningNormalizer,
         output_norm: RunningNormalizer | None = None,
-        side_norm: RunningNormalizer | None = None,
+        side_norms: Sequence[RunningNormalizer] = (),
     ) -> None:
         super().__init__()
         self.net = net
         self.input_norm = input_norm
         self.output_norm = output_norm
-        self.side_norm = side_norm
+        self.side_norms = nn.ModuleList(side_norms)
 
     def forward(self, history: Tensor, *side: Tensor) -> Tensor:
-        """Map a raw history (*B, H, D), and a side input (*B, S) if any, to the estimate (*B, out_features)."""
+        """Map a raw history (*B, H, D), and side inputs (*B, S_i) if any, to the estimate (*B, out_features)."""
         x = self.input_norm(history)
-        if self.side_norm is not None:
-            rows = [self.side_norm(value).unsqueeze(-2).expand(*x.shape[:-1], -1) for value in side]
-            x = torch.cat([x, *rows], -1)
+        if self.side_norms:
+            values = [norm(value) for norm, value in zip(self.side_norms, side)]
+            x = torch.cat([x, *(value.unsqueeze(-2).expand(*x.shape[:-1], -1) for value in values)], -1)
         out = self.net(x)
         return out if self.output_norm is None else self.output_norm.inverse(out)

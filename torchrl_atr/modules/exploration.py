@@ -1,22 +1,91 @@
-"""Exploration that tilts a deck: Gaussian actions whose noise moves legs together and lasts."""
+"""How far, and along which directions, a Gaussian policy explores (theta_std)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from scipy.linalg import hadamard
-from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
-from torch import Tensor
-from torchrl.envs.utils import ExplorationType, exploration_type
-from torchrl.modules import IndependentNormal, ProbabilisticActor
+from torch import Tensor, nn
+
+
+class Exploration(nn.Module):
+    """Learn one standard deviation for each direction of exploration, never below a floor (the paper's theta_std).
+
+    It depends on no input and changes no mean action. ``std = min_std + softplus(raw)``: unlike a clamp, which has
+    no gradient below the floor and so keeps an action there for good, softplus lets exploration grow again from any
+    value. A recipe may anneal it with :meth:`cap_` between iterations.
+
+    Args:
+        actions (int): number of actions, A.
+        init_std (float or sequence of float): initial standard deviation, or one for each direction, in units of the
+            action. Defaults to 0.3.
+        min_std (float): floor, in units of the action. Defaults to 0.05.
+        basis (Tensor, optional): directions of exploration, (A, A), orthonormal columns, such as
+            :func:`~torchrl_atr.modules.leg_synergies`. None, the default, explores each action by itself.
+
+    Attributes:
+        raw (Parameter): what is learned, (A,).
+        basis (Tensor or None): the directions, in the default dtype.
+
+    Raises:
+        ValueError: unless ``0 <= min_std < init_std``, for another number of values than one or ``actions``, and for a
+            basis whose columns are not orthonormal.
+
+    Examples:
+        >>> exploration = Exploration(2, init_std=0.3)
+        >>> exploration.std().tolist()
+        [0.30000001192092896, 0.30000001192092896]
+        >>> exploration.cap_(0.1)
+        >>> round(exploration.std().max().item(), 4)
+        0.1
+    """
+
+    basis: Tensor | None
+
+    def __init__(
+        self,
+        actions: int,
+        init_std: float | Sequence[float] = 0.3,
+        min_std: float = 0.05,
+        basis: Tensor | None = None,
+    ) -> None:
+        super().__init__()
+        initial = torch.as_tensor(init_std, dtype=torch.get_default_dtype())
+        if initial.numel() not in (1, actions):
+            raise ValueError(f"init_std needs one value or {actions}, got {initial.numel()}.")
+        if not 0.0 <= min_std < float(initial.min()):
+            raise ValueError(f"Need 0 <= min_std < init_std, got min_std={min_std}, init_std={init_std}.")
+        self.min_std = float(min_std)
+        self.raw = nn.Parameter(torch.expm1(initial - min_std).log().expand(actions).clone())
+        self.register_buffer("basis", None if basis is None else check_basis(basis, actions))
+
+    def std(self) -> Tensor:
+        """Return the standard deviation along each direction, (A,), in units of the action."""
+        return self.min_std + nn.functional.softplus(self.raw)
+
+    def forward(self, loc: Tensor) -> Tensor:
+        """Return :meth:`std` for every mean action, (*B, A) for ``loc`` of that shape."""
+        return self.std().expand_as(loc)
+
+    @torch.no_grad()
+    def cap_(self, ceiling: float) -> None:
+        """Lower every standard deviation above ``ceiling`` to it; unlike under a clamp, gradients keep flowing.
+
+        Args:
+            ceiling (float): in units of the action.
+
+        Raises:
+            ValueError: unless ``ceiling`` is above the floor.
+        """
+        if not ceiling > self.min_std:
+            raise ValueError(f"ceiling must be above min_std={self.min_std}, got {ceiling}.")
+        self.raw.clamp_(max=math.log(math.expm1(ceiling - self.min_std)))
 
 
 def leg_synergies(joints: int = 3) -> Tensor:
-    """Orthonormal directions in which four legs move together or against each other.
+    """Return orthonormal directions in which four legs move together or against each other.
 
     The columns are the four Hadamard patterns over the legs (common; then two legs against two, in three ways) for each
     joint of a leg. The first ``joints`` columns move all legs alike: they lean, shift and lift the body, which
@@ -37,147 +106,22 @@ def leg_synergies(joints: int = 3) -> Tensor:
 
 
 def check_basis(basis: Tensor, actions: int) -> Tensor:
-    """Return ``basis``, in the default dtype, if it is orthonormal, (actions, actions).
+    """Return ``basis`` in the default dtype if its columns are orthonormal.
+
+    Args:
+        basis (Tensor): (actions, actions).
+        actions (int): number of actions.
 
     Raises:
-        ValueError: if it is not.
+        ValueError: if the shape is another one, or the columns are not orthonormal.
+
+    Examples:
+        >>> check_basis(torch.eye(2), 2).shape
+        torch.Size([2, 2])
     """
     basis = basis.to(torch.get_default_dtype())
     if basis.shape != (actions, actions) or not torch.allclose(basis.T @ basis, torch.eye(actions), atol=1e-5):
-        raise ValueError(f"A noise basis needs {actions} orthonormal columns of {actions}, got {tuple(basis.shape)}.")
+        raise ValueError(
+            f"basis needs {actions} orthonormal columns of {actions}, got {tuple(basis.shape)}; leg_synergies() is one."
+        )
     return basis
-
-
-class SynergyNormal(IndependentNormal):
-    """Normal distribution over actions, independent along the columns of an orthonormal basis.
-
-    Args:
-        loc (Tensor): mean action, (*B, A).
-        scale (Tensor): standard deviation along each column, (*B, A).
-        basis (Tensor, optional): (A, A); None for the actions themselves.
-
-    Examples:
-        >>> normal = SynergyNormal(torch.zeros(12), torch.full((12,), 0.1), leg_synergies())
-        >>> normal.rsample().shape, normal.log_prob(torch.zeros(12)).shape
-        (torch.Size([12]), torch.Size([]))
-    """
-
-    def __init__(self, loc: Tensor, scale: Tensor, basis: Tensor | None = None, **kwargs: Any) -> None:
-        self.basis = None if basis is None else basis.to(loc)
-        super().__init__(loc, scale, **kwargs)
-
-    def rsample(self, sample_shape: Sequence[int] = ()) -> Tensor:
-        """Draw actions, (*sample_shape, *B, A)."""
-        loc = self.base_dist.loc
-        return self.displace(torch.randn(*sample_shape, *loc.shape, dtype=loc.dtype, device=loc.device))
-
-    def sample(self, sample_shape: Sequence[int] = ()) -> Tensor:
-        """Draw actions without gradient, (*sample_shape, *B, A)."""
-        with torch.no_grad():
-            return self.rsample(sample_shape)
-
-    def displace(self, noise: Tensor) -> Tensor:
-        """The action for a standard normal ``noise`` along the columns, (*B, A)."""
-        deviation = self.base_dist.scale * noise
-        return self.base_dist.loc + (deviation if self.basis is None else deviation @ self.basis.T)
-
-    def log_prob(self, value: Tensor) -> Tensor:
-        """Log-density of ``value``, (*B, A)."""
-        loc = self.base_dist.loc
-        return super().log_prob(value if self.basis is None else loc + (value - loc) @ self.basis)
-
-
-class CorrelatedGaussian(TensorDictModuleBase):
-    """Samples actions loc + scale · ε with ε_t = ρ ε_{t-1} + √(1 - ρ²) ξ_t, for rollouts of a batched env.
-
-    At every step the action has the policy's own marginal distribution, and its log-probability is that of
-    the marginal: a loss that recomputes it finds an importance ratio of one. But a deviation now lasts for
-    1 / (1 - ρ) steps, long enough to lean, tilt the board and feel it turn; white noise at 50 Hz averages out
-    before anything has moved. The noise runs on through resets.
-
-    Args:
-        correlation (float): ρ in [0, 1); 0 is white noise.
-        basis (Tensor, optional): of the policy's :class:`SynergyNormal`.
-        loc, scale (NestedKey): the policy's mean and standard deviation, (*B, A).
-        action (NestedKey): what is written, with ``<action>_log_prob`` beside it.
-
-    Raises:
-        ValueError: unless ``0 <= correlation < 1``.
-
-    Examples:
-        >>> from tensordict import TensorDict
-        >>> explore = CorrelatedGaussian(0.9)
-        >>> td = explore(TensorDict(loc=torch.zeros(4, 2), scale=torch.ones(4, 2), batch_size=[4]))
-        >>> td["action"].shape, td["action_log_prob"].shape
-        (torch.Size([4, 2]), torch.Size([4]))
-    """
-
-    def __init__(
-        self,
-        correlation: float,
-        *,
-        basis: Tensor | None = None,
-        loc: NestedKey = "loc",
-        scale: NestedKey = "scale",
-        action: NestedKey = "action",
-    ) -> None:
-        super().__init__()
-        if not 0.0 <= correlation < 1.0:
-            raise ValueError(f"correlation must be in [0, 1), got {correlation}; 0 is white noise.")
-        self.correlation = float(correlation)
-        self.register_buffer("basis", basis, persistent=False)
-        self._noise: Tensor | None = None
-        log_prob = f"{action}_log_prob" if isinstance(action, str) else (*action[:-1], f"{action[-1]}_log_prob")
-        self.in_keys = [loc, scale]
-        self.out_keys = [action, log_prob]
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the action and its log-probability; the mean under ``ExplorationType.DETERMINISTIC``."""
-        loc, scale = (tensordict.get(key) for key in self.in_keys)
-        normal = SynergyNormal(loc, scale, self.basis)
-        action = loc
-        if exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
-            action = normal.displace(self._next_noise(torch.randn_like(loc)))
-        tensordict.set(self.out_keys[0], action)
-        return tensordict.set(self.out_keys[1], normal.log_prob(action))
-
-    def _next_noise(self, fresh: Tensor) -> Tensor:
-        if self._noise is None or self._noise.shape != fresh.shape:
-            self._noise = fresh.clone()
-            return fresh
-        self._noise = self._noise.to(fresh)  # a checkpoint is read on the CPU
-        noise = self.correlation * self._noise + math.sqrt(1 - self.correlation**2) * fresh
-        self._noise.copy_(noise)  # in place: a captured step goes on from what it wrote
-        return noise
-
-    def get_extra_state(self) -> dict[str, Any]:
-        """The noise that runs on, (*B, A), or None before the first step."""
-        return {"noise": None if self._noise is None else self._noise.clone()}
-
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`get_extra_state`."""
-        noise = state["noise"]
-        self._noise = None if noise is None else noise.clone()
-
-
-def correlate(actor: ProbabilisticActor, correlation: float, action: NestedKey = "action") -> TensorDictSequential:
-    """Replace an actor's sampling by :class:`CorrelatedGaussian`; the networks stay shared.
-
-    Args:
-        actor (ProbabilisticActor): a Gaussian policy that writes ``loc`` and ``scale``, such as
-            :func:`~torchrl_atr.modules.make_actor`'s.
-        correlation (float): ρ in [0, 1).
-        action (NestedKey): what the actor writes.
-
-    Returns:
-        TensorDictSequential: the policy for a collector.
-
-    Examples:
-        >>> from torchrl_atr.modules import ActorBackbone, RunningNormalizer, make_actor
-        >>> actor = make_actor(ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2))
-        >>> correlate(actor, 0.9).in_keys
-        ['observation', ('act', 'intrinsic'), ('act', 'extrinsic')]
-    """
-    *networks, sampler = actor.module
-    basis = sampler.distribution_kwargs.get("basis")
-    return TensorDictSequential(*networks, CorrelatedGaussian(correlation, basis=basis, action=action))

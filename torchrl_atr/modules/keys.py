@@ -11,8 +11,9 @@ from tensordict import NestedKey
 class NetworkKeys:
     """Names of the entries that networks and loss meet on; rename any of them for an env with its own names.
 
-    Two are optional, and used where the env has them: ``odometry``, dead-reckoned velocities that the extrinsic
-    estimator reads beside the history, and ``outlook``, whatever else the critic may see. None leaves them unused.
+    ``odometry`` (velocities by dead reckoning) and ``outlook`` (what tracking will be like) are read only where
+    :func:`~torchrl_atr.modules.make_networks` is told so: ``estimator_inputs=[keys.odometry]`` and
+    ``critic_inputs=[keys.outlook]``.
 
     Examples:
         >>> NetworkKeys(observation=("agent", "obs")).observation
@@ -21,10 +22,10 @@ class NetworkKeys:
 
     observation: NestedKey = "observation"
     history: NestedKey = "history"
-    odometry: NestedKey | None = "odometry"
+    odometry: NestedKey = "odometry"
     intrinsic: NestedKey = ("privileged", "intrinsic")
     extrinsic: NestedKey = ("privileged", "extrinsic")
-    outlook: NestedKey | None = ("privileged", "outlook")
+    outlook: NestedKey = ("privileged", "outlook")
     latent: NestedKey = ("latent", "intrinsic")
     intrinsic_estimate: NestedKey = ("estimate", "intrinsic")
     extrinsic_estimate: NestedKey = ("estimate", "extrinsic")

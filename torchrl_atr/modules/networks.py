@@ -2,42 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
 from itertools import chain
 from typing import Any
 
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModule
-from torch import Tensor, nn
-from torchrl.data import Composite, TensorSpec
+from torch import nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
-from torchrl_atr._checks import check_flag, check_kind, check_whole
 from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.critic import AsymmetricCritic
-from torchrl_atr.modules.dtype import default_dtype
-from torchrl_atr.modules.encoder import IntrinsicEncoder
-from torchrl_atr.modules.estimators import NormalizedEstimator, build_estimator, get_estimator
+from torchrl_atr.modules.estimators import NormalizedEstimator
+from torchrl_atr.modules.exploration import Exploration
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
-from torchrl_atr.modules.sizes import check_widths, entry, entry_shape, estimator_sizes
 
 
 class RidingNetworks(nn.Module):
-    """The five networks of Table I and the critic; every policy made here shares their parameters.
+    """Hold the five networks of Table I and the critic; every policy made here shares their parameters.
 
-    Build it with :func:`make_networks`. The TensorDictModules it returns are views: making one costs
-    nothing and training one trains the networks.
+    Build it with :func:`~torchrl_atr.modules.make_networks`. The TensorDictModules it returns are views: making one
+    costs nothing and training one trains the networks.
 
     Args:
         obs_norm, ext_norm (RunningNormalizer): of the observation and of the extrinsic state (SI units).
         encoder (nn.Module): intrinsic parameters to latent.
         intrinsic_estimator, extrinsic_estimator (NormalizedEstimator): history to latent, to extrinsic state.
-        backbone (ActorBackbone): the actor.
+        backbone (ActorBackbone): the actor's mean action.
+        exploration (Exploration): how far the actor explores.
         critic (AsymmetricCritic): the value.
-        keys (NetworkKeys): names of the entries.
+        estimator_inputs (sequence of NestedKey): what the extrinsic estimator reads beside the history, one for each of
+            its ``side_norms``.
+        critic_inputs (sequence of NestedKey): what the critic reads last, one for each of its ``input_norms``.
+        keys (NetworkKeys): names of the other entries.
+
+    Examples:
+        >>> from torchrl.data import Composite, Unbounded
+        >>> from torchrl_atr.modules import make_networks
+        >>> privileged = Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,)))
+        >>> spec = Composite(observation=Unbounded((5,)), history=Unbounded((4, 5)), privileged=privileged)
+        >>> networks = make_networks(spec, Unbounded((2,)))
+        >>> networks.deployed_policy()(spec.expand(8).rand())["action"].shape
+        torch.Size([8, 2])
     """
 
     def __init__(
@@ -49,7 +57,10 @@ class RidingNetworks(nn.Module):
         intrinsic_estimator: NormalizedEstimator,
         extrinsic_estimator: NormalizedEstimator,
         backbone: ActorBackbone,
+        exploration: Exploration,
         critic: AsymmetricCritic,
+        estimator_inputs: Sequence[NestedKey] = (),
+        critic_inputs: Sequence[NestedKey] = (),
         keys: NetworkKeys | None = None,
     ) -> None:
         super().__init__()
@@ -57,7 +68,9 @@ class RidingNetworks(nn.Module):
         self.encoder = encoder
         self.intrinsic_estimator, self.extrinsic_estimator = intrinsic_estimator, extrinsic_estimator
         self.backbone = backbone
+        self.exploration = exploration
         self.critic = critic
+        self.estimator_inputs, self.critic_inputs = tuple(estimator_inputs), tuple(critic_inputs)
         self.keys = keys or NetworkKeys()
 
     @property
@@ -73,20 +86,16 @@ class RidingNetworks(nn.Module):
 
     @property
     def extrinsic_estimator_module(self) -> TensorDictModule:
-        """Extrinsic estimator: history (*B, H, D) and odometry, if used, to the extrinsic state (*B, E), SI units."""
-        keys, estimator = self.keys, self.extrinsic_estimator
-        in_keys = [keys.history] if estimator.side_norm is None else [keys.history, keys.odometry]
-        return TensorDictModule(estimator, in_keys=in_keys, out_keys=[keys.extrinsic_estimate])
+        """Extrinsic estimator: history (*B, H, D) and ``estimator_inputs`` to the extrinsic state (*B, E), SI units."""
+        in_keys = [self.keys.history, *self.estimator_inputs]
+        return TensorDictModule(self.extrinsic_estimator, in_keys=in_keys, out_keys=[self.keys.extrinsic_estimate])
 
     @property
     def critic_module(self) -> ValueOperator:
-        """Critic: observation, both privileged entries and the outlook, if used, to the state value (*B, 1)."""
+        """Critic: observation, both privileged entries, if used, and ``critic_inputs`` to the state value (*B, 1)."""
         keys = self.keys
-        in_keys = [keys.observation]
-        if self.critic.extrinsic_norm is not None:
-            in_keys += [keys.intrinsic, keys.extrinsic]
-        if self.critic.outlook_norm is not None:
-            in_keys.append(keys.outlook)
+        privileged = [] if self.critic.extrinsic_norm is None else [keys.intrinsic, keys.extrinsic]
+        in_keys = [keys.observation, *privileged, *self.critic_inputs]
         return ValueOperator(self.critic, in_keys=in_keys, out_keys=[keys.state_value])
 
     def training_actor(self, source: Source = "privileged") -> ProbabilisticActor:
@@ -117,7 +126,7 @@ class RidingNetworks(nn.Module):
         return self._actor(source, self.encoder_module, *estimators, assign)
 
     def deployed_policy(self) -> ProbabilisticActor:
-        """Return the policy of the real robot: it reads history, observation and odometry, nothing privileged.
+        """Return the policy of the real robot: it reads history, observation and ``estimator_inputs``, nothing else.
 
         It shares the networks and their mode: call ``eval()`` on networks that were trained with dropout or batch
         statistics before they are deployed. Those of :func:`torchrl_atr.training.load_run` and
@@ -126,27 +135,32 @@ class RidingNetworks(nn.Module):
         return self.rollout_policy("estimated")
 
     def update_normalizers(self, tensordict: TensorDictBase) -> None:
-        """Merge a batch's observations, extrinsic states and side inputs into the running statistics.
+        """Merge a batch's observations, extrinsic states and further inputs into the running statistics.
 
         Call it between iterations: after the epochs on a batch, before the next rollout.
+
+        Args:
+            tensordict (TensorDictBase): holds them, (*B, D) each.
+
+        Raises:
+            KeyError: if it lacks one; names it.
         """
-        keys = self.keys
-        for norm, key in (
-            (self.obs_norm, keys.observation),
-            (self.ext_norm, keys.extrinsic),
-            (self.extrinsic_estimator.side_norm, keys.odometry),
-            (self.critic.outlook_norm, keys.outlook),
-        ):
-            if norm is None:
-                continue
+        normalizers: list[tuple[NestedKey, Any]] = [
+            (self.keys.observation, self.obs_norm),
+            (self.keys.extrinsic, self.ext_norm),
+            *zip(self.estimator_inputs, self.extrinsic_estimator.side_norms),
+            *zip(self.critic_inputs, self.critic.input_norms),
+        ]
+        for key, norm in normalizers:
             value = tensordict.get(key, None)
             if value is None:
                 raise KeyError(f"the batch lacks {key!r}, which is normalised; keep it, or rename it in NetworkKeys")
             norm.update(value)
 
     def policy_parameters(self) -> Iterator[nn.Parameter]:
-        """Iterate over what PPO and the ROA term train: encoder, actor and critic."""
-        return chain(self.encoder.parameters(), self.backbone.parameters(), self.critic.parameters())
+        """Iterate over what PPO and the ROA term train: encoder, actor, exploration and critic."""
+        trained = (self.encoder, self.backbone, self.exploration, self.critic)
+        return chain.from_iterable(network.parameters() for network in trained)
 
     def estimator_parameters(self) -> Iterator[nn.Parameter]:
         """Iterate over what the estimator losses train: both estimators."""
@@ -166,6 +180,7 @@ class RidingNetworks(nn.Module):
         )
         actor = make_actor(
             self.backbone,
+            self.exploration,
             *front,
             act_source,
             observation=keys.observation,
@@ -174,134 +189,3 @@ class RidingNetworks(nn.Module):
             action=keys.action,
         )
         return actor if self.training else actor.eval()
-
-
-def make_networks(
-    observation_spec: Composite,
-    action_spec: TensorSpec,
-    *,
-    estimator: str = "cnn_gru",
-    estimator_kwargs: Mapping[str, Any] | None = None,
-    latent_features: int = 16,
-    actor_cells: Sequence[int] = (512, 256, 128),
-    critic_cells: Sequence[int] = (512, 256, 128),
-    privileged_critic: bool = True,
-    init_std: float | Sequence[float] = 0.3,
-    min_std: float = 0.05,
-    noise_basis: Tensor | None = None,
-    products: Sequence[tuple[int, int]] = (),
-    reflections: Mapping[NestedKey, Tensor] | None = None,
-    keys: NetworkKeys | None = None,
-) -> RidingNetworks:
-    """Build the networks of Table I for an env; sizes and the dtype, the observation's, are read from its specs.
-
-    Args:
-        observation_spec (Composite): must hold the observation (*B, O), the history (*B, H, O) and both
-            privileged entries; leading batch dimensions are ignored.
-        action_spec (TensorSpec): a leaf of shape (*B, A), or a Composite with the action key.
-        estimator (str): a registered name (:func:`torchrl_atr.modules.available_estimators`).
-        estimator_kwargs (mapping, optional): passed to the estimator's factory.
-        latent_features (int): size of z. Defaults to 16.
-        actor_cells (sequence of int): hidden widths of the actor.
-        critic_cells (sequence of int): hidden widths of the critic.
-        privileged_critic (bool): whether the critic reads more than the observation (reading A20).
-        init_std (float or sequence of float): initial exploration, in units of the action; one per column of the
-            noise basis if it is a sequence.
-        min_std (float): its floor.
-        noise_basis (Tensor, optional): see :class:`~torchrl_atr.modules.ActorBackbone`.
-        products (sequence of pairs of int): see :class:`~torchrl_atr.modules.ActorBackbone`.
-        reflections (mapping of NestedKey to Tensor, optional): how each entry's mirror image is made, (D, D) for the
-            observation, the privileged entries, the odometry and the action, such as
-            :attr:`~torchrl_atr.envs.RidingEnv.reflections`. Encoder, actor and critic are then symmetric by
-            construction: the mirrored robot acts mirrored. The estimators are not, so that any can be registered.
-        keys (NetworkKeys, optional): names of the entries, if the env has its own.
-
-    Returns:
-        RidingNetworks
-
-    Raises:
-        KeyError: if a spec or the reflections lack an entry. ValueError: if the history does not match the
-            observation, the estimator is unknown, or a reflection is none. EstimatorError: if the estimator's
-            factory fails.
-
-    Examples:
-        >>> from torchrl.data import Composite, Unbounded
-        >>> spec = Composite(
-        ...     observation=Unbounded((5,)),
-        ...     history=Unbounded((4, 5)),
-        ...     privileged=Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,))),
-        ... )
-        >>> networks = make_networks(spec, Unbounded((2,)), estimator="mlp")
-        >>> sorted(networks.deployed_policy().in_keys)
-        ['history', 'observation']
-    """
-    check_whole("latent_features", latent_features, low=1)
-    check_widths(actor_cells=actor_cells, critic_cells=critic_cells)
-    check_flag("privileged_critic", privileged_critic)
-    check_kind("estimator_kwargs", estimator_kwargs, Mapping, "a mapping of arguments", optional=True)
-    check_kind("reflections", reflections, Mapping, "a matrix by key", optional=True)
-    check_kind("keys", keys, NetworkKeys, "NetworkKeys(...)", optional=True)
-    keys = keys or NetworkKeys()
-    (obs,) = entry_shape(observation_spec, keys.observation, 1)
-    history_shape = entry_shape(observation_spec, keys.history, 2)
-    (intrinsic,) = entry_shape(observation_spec, keys.intrinsic, 1)
-    (extrinsic,) = entry_shape(observation_spec, keys.extrinsic, 1)
-    (actions,) = entry_shape(action_spec, keys.action, 1)
-    if history_shape[1] != obs:
-        raise ValueError(
-            f"{keys.history!r} must end with (H, {obs}), as {keys.observation!r} has {obs} components; got "
-            f"{history_shape}. The history stacks past observations, oldest first."
-        )
-    make_estimator = partial(build_estimator, get_estimator(estimator), **dict(estimator_kwargs or {}))
-    sizes = estimator_sizes(observation_spec, latent_features, keys)
-    mirror = partial(_reflection, reflections)
-    with default_dtype(entry(observation_spec, keys.observation).dtype):
-        obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
-        ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
-        odometry_norm, outlook_norm = (
-            RunningNormalizer(entry_shape(observation_spec, key, 1), reflection=mirror(key))
-            if key is not None and key in observation_spec.keys(True, True)
-            else None
-            for key in (keys.odometry, keys.outlook)
-        )
-        return RidingNetworks(
-            obs_norm=obs_norm,
-            ext_norm=ext_norm,
-            encoder=IntrinsicEncoder(intrinsic, latent_features, reflection=mirror(keys.intrinsic)),
-            intrinsic_estimator=NormalizedEstimator(
-                make_estimator(history_shape=sizes["intrinsic"][0], out_features=sizes["intrinsic"][1]), obs_norm
-            ),
-            extrinsic_estimator=NormalizedEstimator(
-                make_estimator(history_shape=sizes["extrinsic"][0], out_features=sizes["extrinsic"][1]),
-                obs_norm,
-                ext_norm,
-                odometry_norm,
-            ),
-            backbone=ActorBackbone(
-                obs_norm,
-                ext_norm,
-                latent_features,
-                actions,
-                actor_cells,
-                init_std,
-                min_std,
-                noise_basis,
-                products,
-                mirror(keys.action),
-            ),
-            critic=AsymmetricCritic(
-                obs_norm, ext_norm, intrinsic, critic_cells, outlook_norm, intrinsic_reflection=mirror(keys.intrinsic)
-            )
-            if privileged_critic
-            else AsymmetricCritic(obs_norm, cells=critic_cells),
-            keys=keys,
-        )
-
-
-def _reflection(reflections: Mapping[NestedKey, Tensor] | None, key: NestedKey) -> Tensor | None:
-    """The reflection of an entry, if there are any."""
-    if reflections is None:
-        return None
-    if key not in reflections:
-        raise KeyError(f"reflections lack {key!r}; they have {list(reflections)}, and symmetric networks need it too")
-    return reflections[key]

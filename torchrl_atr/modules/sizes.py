@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from tensordict import NestedKey
 from torchrl.data import Composite, TensorSpec
 
-from torchrl_atr._checks import check_kind, check_whole
+from torchrl_atr._checks import check_keys, check_kind, check_whole
 from torchrl_atr._registry import nearest
 from torchrl_atr.modules.keys import NetworkKeys
 
@@ -53,8 +53,38 @@ def entry_shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
     return tuple(spec.shape[-ndim:])
 
 
+def input_sizes(spec: Composite, argument: str, inputs: Sequence[NestedKey]) -> list[int]:
+    """Return the sizes of the entries that an argument names.
+
+    Args:
+        spec (Composite): of an env.
+        argument (str): its name, for messages.
+        inputs (sequence of NestedKey): its value.
+
+    Raises:
+        InputError: if the value is no list of keys.
+        KeyError: if the spec has no such entry.
+
+    Examples:
+        >>> from torchrl.data import Unbounded
+        >>> input_sizes(Composite(odometry=Unbounded((8, 3))), "estimator_inputs", ["odometry"])
+        [3]
+    """
+    available = spec.keys(True, True)
+    for key in check_keys(argument, inputs):
+        if key not in available:
+            raise KeyError(
+                f"{argument} names {key!r}, which the spec lacks; it has {', '.join(map(str, spec.keys()))}. Leave it "
+                "out, or add the transform that writes it."
+            )
+    return [entry_shape(spec, key, 1)[0] for key in inputs]
+
+
 def estimator_sizes(
-    observation_spec: Composite, latent_features: int = 16, keys: NetworkKeys | None = None
+    observation_spec: Composite,
+    latent_features: int = 16,
+    keys: NetworkKeys | None = None,
+    estimator_inputs: Sequence[NestedKey] = (),
 ) -> dict[str, tuple[tuple[int, int], int]]:
     """Read from an env's specs what the two estimators map: by name, the history's shape and the estimate's size.
 
@@ -62,6 +92,7 @@ def estimator_sizes(
         observation_spec (Composite): see :func:`make_networks`.
         latent_features (int): size of z. Defaults to 16.
         keys (NetworkKeys, optional): names of the entries, if the env has its own.
+        estimator_inputs (sequence of NestedKey): what the extrinsic one reads beside the history. Defaults to nothing.
 
     Raises:
         KeyError: if the spec lacks an entry.
@@ -79,9 +110,7 @@ def estimator_sizes(
     keys = keys or NetworkKeys()
     length, features = entry_shape(observation_spec, keys.history, 2)
     (extrinsic,) = entry_shape(observation_spec, keys.extrinsic, 1)
-    side = 0
-    if keys.odometry is not None and keys.odometry in observation_spec.keys(True, True):
-        (side,) = entry_shape(observation_spec, keys.odometry, 1)
+    side = sum(input_sizes(observation_spec, "estimator_inputs", estimator_inputs))
     return {"intrinsic": ((length, features), latent_features), "extrinsic": ((length, features + side), extrinsic)}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -10,15 +9,16 @@ import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictParams, dispatch
 from torch import Tensor, nn
-from torch.distributions import Distribution
-from torchrl.modules.distributions.utils import has_analytic_entropy
 from torchrl.objectives import ClipPPOLoss
 
+from torchrl_atr.objectives.ppo_hooks import ExtensibleClipPPOLoss
+
 ADAPTATION_NETWORKS = ("encoder_network", "intrinsic_estimator_network", "extrinsic_estimator_network")
+_RENAME = "Give it that out_key, or rename it: loss.set_keys(latent=..., latent_estimate=..., extrinsic_estimate=...)."
 
 
-class ROAClipPPOLoss(ClipPPOLoss):
-    r"""Clipped PPO plus the three regression terms of regularised online adaptation (Eqs. 15-16).
+class ROAClipPPOLoss(ExtensibleClipPPOLoss):
+    r"""Compute clipped PPO plus the three regression terms of regularised online adaptation (Eqs. 15-16).
 
     .. math::
         L^{int} = \|\hat z - sg[z]\|^2 + \lambda \|sg[\hat z] - z\|^2, \qquad
@@ -41,7 +41,8 @@ class ROAClipPPOLoss(ClipPPOLoss):
     units of std, so 1 is as good as the mean).
 
     The encoder network must share its parameters with the encoder inside the actor: PPO and ``loss_roa``
-    then add up in it, and no parameter is listed twice.
+    then add up in it, and no parameter is listed twice. In :meth:`forward` and :meth:`policy_loss` the actor,
+    and the encoder inside it, run once: all terms read what that pass wrote.
 
     Args:
         actor_network (ProbabilisticTensorDictSequential): the actor that is trained; it may contain the
@@ -162,17 +163,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
             self.register_coeff_buffer(name, float(value), device=device)
         self._add_scale(extrinsic_scale)
         self._smooth = smoothness_coeff > 0
-        self._mean: Tensor | None = None
-        self._encoded: Tensor | None = None
         self._in_keys = self._out_keys = None  # they were cached before these networks existed
-
-    def _add_network(self, name: str, network: TensorDictModule) -> None:
-        if self.functional:
-            self.convert_to_functional(network, name)
-        else:
-            setattr(self, name, network)
-            setattr(self, f"{name}_params", None)
-            setattr(self, f"target_{name}_params", None)
 
     def _add_scale(self, scale: Tensor | nn.Module | None) -> None:
         std = scale.std if isinstance(scale, nn.Module) and hasattr(scale, "std") else scale
@@ -193,9 +184,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
         # set_keys runs once inside the parent's constructor, before these networks exist.
         networks = [getattr(self, name, None) for name in ADAPTATION_NETWORKS]
         keys = {key for network in networks if network is not None for key in network.in_keys}
-        ours = [self.tensor_keys.extrinsic]
-        if getattr(self, "_smooth", False):
-            ours.append(self.tensor_keys.previous_mean)
+        ours = [self.tensor_keys.extrinsic] + [self.tensor_keys.previous_mean] * getattr(self, "_smooth", False)
         self._in_keys = list({*(self._in_keys or ()), *keys, *ours})
 
     @property
@@ -229,11 +218,12 @@ class ROAClipPPOLoss(ClipPPOLoss):
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return every term: PPO, ``loss_roa`` and both estimator losses, with diagnostics."""
-        out = super().forward(tensordict)
-        latent, estimate = self._latent_of_the_actor(tensordict), self._latent_estimate(tensordict)
+        acted, estimate = self._act(tensordict), self._latent_estimate(tensordict)
+        latent = self._latent_of(acted)
+        out = super().forward(acted)
         out.update(self._roa_terms(tensordict, latent, estimate))
         out.update(self._adaptation_terms(tensordict, latent, estimate))
-        out.update(self._smoothness_terms(tensordict))
+        out.update(self._smoothness_terms(acted))
         return out
 
     def policy_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -242,13 +232,14 @@ class ROAClipPPOLoss(ClipPPOLoss):
         zhat is read from ``tensordict`` if it was recorded there (the rollout did, or the recipe computed
         it once for the whole batch), else computed without gradient.
         """
-        out = super().forward(tensordict)
+        acted = self._act(tensordict)
         estimate = tensordict.get(self.tensor_keys.latent_estimate, None)
         if estimate is None:
             with torch.no_grad():
                 estimate = self._latent_estimate(tensordict)
-        out.update(self._roa_terms(tensordict, self._latent_of_the_actor(tensordict), estimate))
-        out.update(self._smoothness_terms(tensordict))
+        out = super().forward(acted)
+        out.update(self._roa_terms(tensordict, self._latent_of(acted), estimate))
+        out.update(self._smoothness_terms(acted))
         return out
 
     def adaptation_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -257,34 +248,22 @@ class ROAClipPPOLoss(ClipPPOLoss):
             latent = self._latent(tensordict)
         return TensorDict(self._adaptation_terms(tensordict, latent, self._latent_estimate(tensordict)))
 
-    def _get_cur_log_prob(self, tensordict: TensorDictBase, params: TensorDictParams | None = None) -> Any:
-        log_prob, dist, is_composite = super()._get_cur_log_prob(tensordict, params)
-        if params is None:  # the one forward pass that PPO makes anyway: its mean action and latent are ours too
-            encodes = unravel_key(self.tensor_keys.latent) in self.actor_network.out_keys
-            self._encoded = tensordict.get(self.tensor_keys.latent) if encodes else None
-            self._mean = dist.mean if self._smooth else None
-        return log_prob, dist, is_composite
+    def _latent_of(self, acted: TensorDictBase) -> Tensor:
+        """Return the latent that the actor has just computed; of an actor that computes none, computed here."""
+        key = self.tensor_keys.latent
+        return acted.get(key) if unravel_key(key) in self.actor_network.out_keys else self._latent(acted)
 
-    def _get_entropy(self, dist: Distribution, adv_shape: torch.Size) -> Tensor:
-        """A closed form is taken as it is; TorchRL looks whether it is finite, which waits for a GPU."""
-        return dist.entropy().unsqueeze(-1) if has_analytic_entropy(dist) else super()._get_entropy(dist, adv_shape)
-
-    def _latent_of_the_actor(self, tensordict: TensorDictBase) -> Tensor:
-        """The latent that the actor just computed; computed here if it computes none."""
-        latent, self._encoded = self._encoded, None
-        return self._latent(tensordict) if latent is None else latent
-
-    def _smoothness_terms(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
+    def _smoothness_terms(self, acted: TensorDictBase) -> dict[str, Tensor]:
         if not self._smooth:
             return {}
-        previous, mean, self._mean = tensordict.get(self.tensor_keys.previous_mean, None), self._mean, None
+        previous = acted.get(self.tensor_keys.previous_mean, None)
         if previous is None:
             raise KeyError(
                 f"smoothness_coeff needs {self.tensor_keys.previous_mean!r} in the data: the mean action of the step "
                 "before, as previous_means(batch) gives it; rename it with loss.set_keys(previous_mean=...)."
             )
-        change = (mean - previous).square().sum(-1)
-        return {"loss_smoothness": self._reduce_loss(self.smoothness_coeff * change, tensordict)}
+        change = (self._distribution(acted).mean - previous).square().sum(-1)
+        return {"loss_smoothness": self._reduce_loss(self.smoothness_coeff * change, acted)}
 
     def _roa_terms(self, tensordict: TensorDictBase, latent: Tensor, estimate: Tensor) -> dict[str, Tensor]:
         distance = (estimate.detach() - latent).square().sum(-1)
@@ -299,7 +278,8 @@ class ROAClipPPOLoss(ClipPPOLoss):
                 f"No extrinsic target {self.tensor_keys.extrinsic!r} in the data; "
                 "name the entry that holds it with loss.set_keys(extrinsic=...)."
             )
-        error = self._run("extrinsic_estimator_network", self.tensor_keys.extrinsic_estimate, tensordict) - target
+        key = self.tensor_keys.extrinsic_estimate
+        error = self._run("extrinsic_estimator_network", key, tensordict, _RENAME) - target
         scale = self.extrinsic_scale
         scaled = error if scale is None else error / scale
         latent_distance = (latent_estimate - latent.detach()).square().sum(-1)
@@ -312,24 +292,7 @@ class ROAClipPPOLoss(ClipPPOLoss):
         }
 
     def _latent(self, tensordict: TensorDictBase) -> Tensor:
-        return self._run("encoder_network", self.tensor_keys.latent, tensordict)
+        return self._run("encoder_network", self.tensor_keys.latent, tensordict, _RENAME)
 
     def _latent_estimate(self, tensordict: TensorDictBase) -> Tensor:
-        return self._run("intrinsic_estimator_network", self.tensor_keys.latent_estimate, tensordict)
-
-    def _run(self, name: str, key: NestedKey, tensordict: TensorDictBase) -> Tensor:
-        """Run a network on its own inputs only, so that it cannot overwrite what the rollout recorded."""
-        network, params = getattr(self, name), getattr(self, f"{name}_params")
-        swapped = contextlib.nullcontext() if params is None else params.to_module(network, preserve_module_state=False)
-        try:
-            inputs = tensordict.select(*network.in_keys)
-        except KeyError as error:
-            raise KeyError(f"{name} reads {network.in_keys}, not all of which are in the data: keep them") from error
-        with swapped:
-            out = network(inputs).get(key, None)
-        if out is None:
-            raise KeyError(
-                f"{name} did not write {key!r}; it writes {network.out_keys}. Give it that out_key, or "
-                "rename the key with loss.set_keys(latent=..., latent_estimate=..., extrinsic_estimate=...)."
-            )
-        return out
+        return self._run("intrinsic_estimator_network", self.tensor_keys.latent_estimate, tensordict, _RENAME)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
+import torch
+from tensordict import NestedKey
 from tensordict.nn import TensorDictSequential
+from torch import Tensor
 from torchrl.envs import EnvBase, TransformedEnv
 
 from torchrl_atr import envs
@@ -14,7 +17,7 @@ from torchrl_atr._compilation import compile_methods
 from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS
-from torchrl_atr.modules import NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
+from torchrl_atr.modules import Exploration, NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.sizes import estimator_sizes
 from torchrl_atr.objectives import ROAClipPPOLoss
@@ -76,22 +79,34 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         UnknownNameError: for an unregistered estimator.
         EstimatorError: if it cannot be built.
     """
-    basis = leg_synergies()
+    basis, keys = leg_synergies(), NetworkKeys()
     alike, joints = len(basis) // 4, len(basis)
+    init_std = [config.init_std] * alike + [config.relative_std] * (joints - alike)
     size = env.observation_spec["observation"].shape[-1]  # the command ends o_t
     return make_networks(
         env.observation_spec,
         env.action_spec,
         estimator=config.estimator,
+        estimator_inputs=_estimator_inputs(config),
+        products=[(size - 2, size - 1)] if config.steering_cue else [],
+        output_map=_output_map(init_std, basis),
+        exploration=Exploration(joints, init_std, config.min_std, basis),
         critic_cells=config.critic_cells,
         privileged_critic=config.privileged_critic,
-        init_std=[config.init_std] * alike + [config.relative_std] * (joints - alike),
-        min_std=config.min_std,
-        noise_basis=basis,
-        products=[(size - 2, size - 1)] if config.steering_cue else [],
+        critic_inputs=[keys.outlook] if config.privileged_critic and config.tracking_forecast else [],
         reflections=env.base_env.reflections if config.symmetric else None,
-        keys=_keys(config),
+        keys=keys,
     )
+
+
+def _output_map(init_std: Sequence[float], basis: Tensor) -> Tensor:
+    """Return what makes each output of the actor move one direction of exploration, with a gain, (A, A).
+
+    Adam's steps are alike in all outputs. In units of the exploration's initial variance, a direction's share of the
+    divergence follows what its exploration can teach: what is explored little does not use up the trust region.
+    """
+    std = torch.as_tensor(init_std, dtype=basis.dtype)
+    return (std.square() / std.max()).unsqueeze(-1) * basis.T
 
 
 def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
@@ -101,11 +116,12 @@ def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
         UnknownNameError: for an unregistered estimator.
         EstimatorError: if it cannot be trained or deployed; names it and the property that fails.
     """
-    check_registered(config.estimator, estimator_sizes(env.observation_spec, keys=_keys(config)).values())
+    sizes = estimator_sizes(env.observation_spec, estimator_inputs=_estimator_inputs(config))
+    check_registered(config.estimator, sizes.values())
 
 
-def _keys(config: TrainConfig) -> NetworkKeys:
-    return NetworkKeys() if config.dead_reckoning else NetworkKeys(odometry=None)
+def _estimator_inputs(config: TrainConfig) -> list[NestedKey]:
+    return [NetworkKeys().odometry] if config.dead_reckoning else []
 
 
 def make_run_loss(

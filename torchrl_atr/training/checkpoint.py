@@ -6,6 +6,7 @@ import io
 import logging
 import os
 import pickle
+import shlex
 import shutil
 import zipfile
 from pathlib import Path
@@ -16,7 +17,8 @@ import torch
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
 
-VERSION = 1
+VERSION = 3
+"""Of what a checkpoint holds and how it is named; whoever changes that adds a step to ``scripts/convert_run.py``."""
 NAME, PREVIOUS, BEST = "checkpoint.pt", "previous.pt", "best.pt"
 """The last checkpoint of a run, the one before, and the one with the largest episode reward."""
 _LOG = logging.getLogger(__name__)
@@ -64,24 +66,42 @@ def _name_too(source: Path, target: Path) -> None:
 
 
 def load_checkpoint(path: str | Path, device: str = "cpu") -> dict[str, Any]:
-    """Reads a checkpoint; of a run folder whose last one is damaged or gone, the one before.
+    """Read a checkpoint; of a run folder whose last one is damaged or gone, the one before.
 
     Args:
         path: of the file, or of the run folder that holds it.
         device: where tensors go.
 
+    Returns:
+        What was saved, with its ``version``.
+
     Raises:
-        CheckpointError: if it is missing, truncated, or of another version.
+        CheckpointError: if it is missing, truncated, or of another version; says how one of before is converted.
     """
     path = Path(path)
-    if path.is_dir():
-        try:
-            return load_checkpoint(path / NAME, device)
-        except CheckpointError as error:
-            if not (path / PREVIOUS).is_file():
-                raise
-            _LOG.warning("%s; taking %s instead", error, path / PREVIOUS)
-            return load_checkpoint(path / PREVIOUS, device)
+    run, file = (path, path / NAME) if path.is_dir() else (path.parent, path)
+    try:
+        state = read_checkpoint(file, device)
+    except CheckpointError as error:
+        file = path / PREVIOUS
+        if not file.is_file():
+            raise
+        _LOG.warning("%s; taking %s instead", error, file)
+        state = read_checkpoint(file, device)
+    _check_version(state["version"], file, run, _writer(state))
+    return state
+
+
+def read_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
+    """Read a checkpoint of any version, such as one that is to be converted.
+
+    Args:
+        path: of the file.
+        device: where tensors go.
+
+    Raises:
+        CheckpointError: if it is missing, damaged, or none of ours.
+    """
     if not path.is_file():
         raise CheckpointError(f"there is no checkpoint at {path}; give a run folder that `torchrl-atr train` wrote")
     try:
@@ -98,12 +118,16 @@ def load_checkpoint(path: str | Path, device: str = "cpu") -> dict[str, Any]:
         ) from error
     if not isinstance(state, dict) or "version" not in state:
         raise CheckpointError(f"{path} is not a checkpoint of ours; give a run folder that `torchrl-atr train` wrote")
-    if state["version"] != VERSION:
-        raise CheckpointError(
-            f"{path} has checkpoint version {state['version']!r}; this code reads version {VERSION}: use the "
-            f"torchrl_atr that wrote it{_writer(state)}, or train anew"
-        )
     return state
+
+
+def _check_version(version: Any, path: Path, run: Path, writer: str) -> None:
+    if version == VERSION:
+        return
+    remedy = f"use the torchrl_atr that wrote it{writer}, or train anew"
+    if isinstance(version, int) and 1 <= version < VERSION:
+        remedy = f"convert it with `python scripts/convert_run.py {shlex.quote(str(run))}` of a clone, or {remedy}"
+    raise CheckpointError(f"{path} has checkpoint version {version!r}; this code reads version {VERSION}: {remedy}")
 
 
 def _is_whole(path: Path) -> bool:

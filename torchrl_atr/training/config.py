@@ -78,6 +78,8 @@ class TrainConfig:
         normalize_targets: whether the extrinsic estimator's errors are measured in standard deviations (A25).
         steering_cue: whether the actor also reads tanh(c_v) c_ω, which has the sign of the lean that turns.
         privileged_critic: whether the critic reads more than the observation (A20).
+        tracking_forecast: whether a privileged critic also reads the outlook: what drives the board, and what tracking
+            will be if that lasts.
         student_fraction: share of the robots that act on the estimates under ``mixed``.
         history_length: H.
         critic_cells: hidden widths of the critic; the actor's are Table I's.
@@ -146,6 +148,7 @@ class TrainConfig:
     symmetric: bool = True
     normalize_targets: bool = True
     privileged_critic: bool = True
+    tracking_forecast: bool = True
     student_fraction: float = 0.5
     history_length: int = 10
     critic_cells: tuple[int, ...] = (256, 128, 64)

@@ -68,8 +68,9 @@ class Learner:
         if config.compiles_networks:
             compile_methods(self.loss, "policy_loss", "adaptation_loss")
             compile_methods(critic, "forward")
+        policy = (networks.encoder, networks.backbone, networks.exploration)
         self._groups: dict[str, list[nn.Parameter]] = {
-            "policy": [*networks.encoder.parameters(), *networks.backbone.parameters()],
+            "policy": [parameter for network in policy for parameter in network.parameters()],
             "critic": list(networks.critic.parameters()),
             "estimators": list(networks.estimator_parameters()),
         }
@@ -116,7 +117,7 @@ class Learner:
         """
         config = self.config
         late = float(np.interp(progress, [config.anneal_from, config.anneal_until], [0.0, 1.0]))
-        self.networks.backbone.std.cap_(config.init_std * (config.final_std / config.init_std) ** late)
+        self.networks.exploration.cap_(config.init_std * (config.final_std / config.init_std) ** late)
         self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
         self._reward_factors = factors_at(self.reward_schedule, progress)
         if self._roa_ramp is not None:

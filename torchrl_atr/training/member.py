@@ -79,7 +79,7 @@ class Member:
         if curriculum is not None:
             metrics["command_area"] = curriculum.command_area[0]
             metrics["frontier_speed"], metrics["frontier_yaw_rate"] = curriculum.frontier
-        metrics["std"] = float(self.learner.networks.backbone.std().detach().mean())
+        metrics["std"] = float(self.learner.networks.exploration.std().detach().mean())
         diverged = self.collection.num_diverged  # asks the workers
         if diverged is not None:
             metrics["diverged"] = diverged

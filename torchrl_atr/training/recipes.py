@@ -39,6 +39,13 @@ RECIPE_POINTS: dict[str, Point] = {
         "The paper does not describe its critic.\n"
         "It reads the privileged state, since only the actor is deployed; without, it reads o_t as a real robot could.",
     ),
+    "tracking_forecast": Point(
+        "ours",
+        "The paper's privileged information is x_int and x_ext. By default the critic, which is not deployed, also\n"
+        "reads what drives the board and what tracking will be if that lasts.",
+        literal=False,
+        ancestor=False,
+    ),
     "roa_ramp": Point(
         "A23",
         "Whether λ = 0.2 is constant or the end of a ramp is open.\nConstant; the ancestors ramp it up.",

@@ -67,5 +67,5 @@ def check_reward_terms(schedule: Collection[str], terms: Collection[str]) -> Non
             known = ", ".join(map(str, terms)) or "none"
             raise ConfigError(
                 f"the reward schedule names the term {name!r}, but the env's reward_terms are {known}; leave it out of "
-                "the schedule (steering_emphasis and final_emphasis are that of steering_command), or emit the term"
+                "the schedule, or emit the term"
             )
