@@ -21,7 +21,7 @@ from torchrl_atr.envs.tasks.proprioception import LEG_NAMES, ODOMETRY, PROPRIO, 
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
 from torchrl_atr.envs.tasks.walking.gait import CLOCK_MIRROR, MEMORY, clock
-from torchrl_atr.envs.tasks.walking.rewards import WALKING_REWARDS
+from torchrl_atr.envs.tasks.walking.rewards import WALKING_REWARDS, effort_schedule
 from torchrl_atr.envs.tasks.walking.state import WalkingStateReader
 from torchrl_atr.envs.transforms.grid import CommandGrid
 
@@ -38,7 +38,6 @@ def walking(
     pushes: bool = True,
     max_speed: float | None = None,
     rewards: Mapping[str, RewardTerm] = WALKING_REWARDS,
-    reward_schedule: Mapping[str, Callable[[float], float]] | None = None,
 ) -> Task:
     """Return the walking task.
 
@@ -48,7 +47,6 @@ def walking(
         pushes: whether the robot is pushed every 3 s.
         max_speed: largest commanded speed, m/s; None for 1.5 or, of large robots, 3.
         rewards: the terms of the reward by name.
-        reward_schedule: see :class:`~torchrl_atr.envs.tasks.task.Task`.
 
     Raises:
         UnknownNameError: for an unknown robot or profile.
@@ -93,7 +91,7 @@ def walking(
         tracking=("forward_command", "turning_command"),
         state_reader=WalkingStateReader,
         readings=readings,
-        reward_schedule=reward_schedule or {},
+        reward_schedule={name: factor for name, factor in effort_schedule().items() if name in rewards},
         arguments=arguments,
     )
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from types import MappingProxyType
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -117,25 +119,50 @@ def _deviation(c: StepContext) -> Tensor:
 WALKING_REWARDS: Mapping[str, RewardTerm] = MappingProxyType(
     {
         "forward_command": RewardTerm(forward_command, 8.0),
-        "turning_command": RewardTerm(turning_command, 6.0),
+        "turning_command": RewardTerm(turning_command, 8.0),
         "speed_error": RewardTerm(speed_error, -4.0),
         "gait": RewardTerm(gait, 8.0),
         "lateral_speed": RewardTerm(lateral_speed, -8.0),
         "vertical_speed": RewardTerm(vertical_speed, -8.0),
-        "rolling_and_pitching": RewardTerm(rolling_and_pitching, -0.2),
+        "rolling_and_pitching": RewardTerm(rolling_and_pitching, -0.4),
         "orientation": RewardTerm(orientation, -20.0),
         "height": RewardTerm(height, -200.0),
-        "joint_torque": RewardTerm(joint_torque, -5e-4),
-        "joint_power": RewardTerm(joint_power, -0.005),
-        "joint_acceleration": RewardTerm(joint_acceleration, -5e-7),
-        "action_rate": RewardTerm(action_rate, -0.04),
+        "joint_torque": RewardTerm(joint_torque, -1e-3),
+        "joint_power": RewardTerm(joint_power, -0.02),
+        "joint_acceleration": RewardTerm(joint_acceleration, -1e-6),
+        "action_rate": RewardTerm(action_rate, -0.08),
         "abduction": RewardTerm(abduction, -4.0),
         "posture": RewardTerm(posture, -0.4),
         "standing_posture": RewardTerm(standing_posture, -4.0),
         "standing_feet": RewardTerm(standing_feet, -1.0),
-        "slip": RewardTerm(slip, -0.8),
+        "slip": RewardTerm(slip, -1.6),
         "collision": RewardTerm(collision, -8.0),
         TERMINATION: RewardTerm(termination, -50.0),
     }
 )
 """Terms by name, of a robot of an A1's size."""
+
+EFFORT_AT_FIRST: Mapping[str, float] = MappingProxyType(
+    {
+        "rolling_and_pitching": 0.5,
+        "joint_torque": 0.5,
+        "joint_power": 0.25,
+        "joint_acceleration": 0.5,
+        "action_rate": 0.5,
+        "slip": 0.5,
+    }
+)
+"""What part of their weight penalties of effort have at first, so that robots do not learn to stand still."""
+FULL_EFFORT_AT = 0.5
+"""Share of the training from which on they have all of it."""
+
+
+def effort_schedule() -> dict[str, Callable[[float], float]]:
+    """Return the factors of :data:`EFFORT_AT_FIRST` as functions of the progress of training.
+
+    Example:
+        >>> float(effort_schedule()["slip"](0.25))
+        0.75
+    """
+    ends = (0.0, FULL_EFFORT_AT)
+    return {name: partial(np.interp, xp=ends, fp=(first, 1.0)) for name, first in EFFORT_AT_FIRST.items()}
