@@ -31,6 +31,14 @@ def test_the_raw_loop_trains():
     assert all(math.isfinite(reward) for reward in rewards)
 
 
+def test_parts_of_ones_own_train_and_go_on_and_are_evaluated(tmp_path):
+    trainer = load("own_parts").main(tmp_path / "run")
+    assert trainer.iteration == 3
+    scalars = tmp_path / "run" / "scalars" / "scalars" / "train"
+    assert len((scalars / "reward_std.csv").read_text().splitlines()) == 3
+    assert trainer.parts.names == {"make_env": "own_parts.make_env", "make_networks": "own_parts.make_small_networks"}
+
+
 def test_an_estimator_of_ones_own():
     load("own_estimator")
     assert "dilated" in available_estimators()

@@ -7,13 +7,21 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from torchrl_atr._compilation import compiler
-from torchrl_atr.training import Learner, make_config, make_env, make_policy, make_run_networks
+from torchrl_atr.training import (
+    ConfigError,
+    Learner,
+    make_config,
+    make_env,
+    make_policy,
+    make_reward_schedule,
+    make_run_networks,
+)
 
 
 def small_learner(**settings):
     config = make_config({"num_envs": 2, "rollout_steps": 2, "num_threads": 1, "minibatches": 1, **settings})
     env = make_env(config)
-    return Learner(make_run_networks(config, env), config), env
+    return Learner(make_run_networks(config, env), config, reward_schedule=make_reward_schedule(config, env)), env
 
 
 @pytest.mark.parametrize("ramp", [False, True])
@@ -45,6 +53,28 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay(final, last)
     for seen, count in zip(rewards, (1.0, 2.0, 5.0, last), strict=True):
         torch.testing.assert_close(seen, plain + (count - 1.0) * steering)
     assert torch.equal(batch["next", "reward_terms", "steering_command"], steering)
+
+
+def test_terms_count_as_scheduled_and_a_missing_one_is_named():
+    learner, env = small_learner()
+    with torch.no_grad():
+        batch = env.rollout(2, learner.networks.rollout_policy(learner.config.act_source), break_when_any_done=False)
+    seen, advantage = [], learner.advantage
+    learner.advantage = lambda data: (seen.append(data["next", "reward"].clone()), advantage(data))[1]
+    terms, plain = batch["next", "reward_terms"], batch["next", "reward"].clone()
+    scheduled, other, *_ = terms.keys()
+    learner.reward_schedule = {scheduled: lambda progress: 3.0 * progress, other: lambda progress: 1.0}
+    for progress in (0.0, 0.5, 2.0):
+        learner.anneal(progress)
+        learner.update(batch.clone())
+    for reward, factor in zip(seen, (0.0, 1.5, 3.0), strict=True):
+        torch.testing.assert_close(reward, plain + (factor - 1.0) * terms[scheduled])
+    learner.reward_schedule = {"no_such_term": lambda progress: 1.0}
+    learner.anneal(0.0)
+    with pytest.raises(
+        ConfigError, match=r"names the term 'no_such_term', but the env's reward_terms are .*leave it out"
+    ):
+        learner.update(batch.clone())
 
 
 def updates(learner, env, times):

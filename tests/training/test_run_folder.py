@@ -17,7 +17,15 @@ from torchrl_atr.evaluation import replay
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, read_config
 from torchrl_atr.training.run_files import DUMPS
 
-TINY = {"num_envs": 4, "rollout_steps": 4, "total_frames": 32, "num_threads": 1, "minibatches": 1, "critic_cells": [8]}
+TINY = {
+    "num_envs": 4,
+    "rollout_steps": 4,
+    "total_frames": 32,
+    "num_threads": 1,
+    "torch_threads": 1,
+    "minibatches": 1,
+    "critic_cells": [8],
+}
 GRID = ["--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
 
 

@@ -82,9 +82,9 @@ class Trainer:
         >>> config = TrainConfig(num_envs=4, rollout_steps=4, total_frames=16, minibatches=1, num_threads=1)
         >>> with TemporaryDirectory() as run:
         ...     trainer = Trainer(config, run, make_env=partial(make_riding_env, "go1", "two_board"))
-        ...     ended_by = trainer.train()
-        >>> trainer.finished
-        True
+        ...     # trainer.train()
+        >>> trainer.finished, trainer.parts.names
+        (False, {'make_env': 'torchrl_atr.envs.factory.make_riding_env'})
     """
 
     def __init__(
