@@ -110,7 +110,8 @@ class Trainer:
         networks = trained_networks(config, self.run, self.env, self.parts, state, other, replaced)
         self._model = model_of(self.env)
         loss = self.parts.loss(config, networks)
-        emitted = self.env.full_observation_spec.get("reward_terms", {})
+        # of the env below all transforms: one of them may leave the terms out of what is stored
+        emitted = env_access.base_of(self.env).full_observation_spec.get("reward_terms", {})
         check_reward_terms(make_reward_schedule(config, self.env), emitted.keys())
         self._prepare_folder(fresh=state is None)
         self.curriculum = env_access.curriculum_of(self.env)
