@@ -8,11 +8,11 @@ import logging
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl_atr.envs.task import core
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs import ROBOTS, RidingEnv
 from torchrl_atr.envs.recorder import load_dump
-from torchrl_atr.envs.task import core
 from torchrl_atr.evaluation import replay
 
 BAD, STEP = 2, 7
@@ -36,18 +36,18 @@ def spoil_observation(env, monkeypatch):
 
 def spoil_rewards(env, monkeypatch, spoil):
     """Have ``spoil(reward, terms)`` change what a step scores."""
-    compute = type(env.task.rewards).__call__
+    compute = type(env.runner.rewards).__call__
 
     def spoiled(rewards, context):
         reward, terms = compute(rewards, context)
         spoil(reward, terms)
         return reward, terms
 
-    monkeypatch.setattr(type(env.task.rewards), "__call__", spoiled)
+    monkeypatch.setattr(type(env.runner.rewards), "__call__", spoiled)
 
 
 def spoil_term(env, monkeypatch):
-    row = list(env.task.rewards.terms).index("force_regulation")
+    row = list(env.runner.rewards.terms).index("force_regulation")
     spoil_rewards(env, monkeypatch, lambda reward, terms: terms[row, BAD].fill_(torch.nan))
 
 

@@ -8,10 +8,10 @@ import torch
 from mujoco.batch import SimulationError
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import check_env_specs
+from torchrl_atr.envs.task.core import RidingTask
 
 from torchrl_atr.envs.physics.batch import BatchEngine
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.task.core import RidingTask
 
 
 def make(num_envs: int = 4, **kwargs: object) -> RidingEnv:
@@ -124,7 +124,7 @@ def test_the_terminal_observation_is_the_true_one():
 
 @pytest.mark.parametrize("retry", [0.0, 1.0])
 def test_a_robot_that_fell_tries_again_with_its_intrinsics(retry):
-    env = make(3, retry=retry)
+    env = make(3, failed_episode_replay=retry)
     td = env.reset()
     before = td["privileged", "intrinsic"].clone()
     env.engine.qpos[1, env.scene.layout.root_qpos] += 1.0  # off the deck
@@ -211,22 +211,22 @@ def test_an_action_buffer_that_is_written_again_does_not_rewrite_the_past():
 def test_pushes_come_every_three_seconds():
     env = make(2, randomization="off")
     td = env.reset()
-    env.task.steps[:] = torch.tensor([149, 0])
+    env.runner.steps[:] = torch.tensor([149, 0])
     td["action"] = torch.zeros(2, 12)
     kicked = []
     for _ in range(3):
-        before = env.engine.speeds.copy()
+        before = env.engine.hook.speeds.copy()
         env.step(td)
-        kicked.append(np.abs(env.engine.speeds - before).max(-1) > 0.05)
+        kicked.append(np.abs(env.engine.hook.speeds - before).max(-1) > 0.05)
     assert np.array(kicked).tolist() == [[False, False], [True, False], [False, False]]
 
 
 def test_pushes_are_bounded_and_reach_robot_and_platform():
     env = make(64)
-    velocity, speeds = env.engine.qvel.copy(), env.engine.speeds.copy()
-    env.task.steps[:] = 150
+    velocity, speeds = env.engine.qvel.copy(), env.engine.hook.speeds.copy()
+    env.runner.steps[:] = 150
     env.task._push()
-    robot, platform = env.engine.qvel - velocity, env.engine.speeds - speeds
+    robot, platform = env.engine.qvel - velocity, env.engine.hook.speeds - speeds
     root = env.scene.layout.root_dof
     assert 0.4 < np.abs(robot[:, root : root + 2]).max() <= 0.5
     assert 0.4 < np.abs(platform[:, 0]).max() <= 0.5
@@ -307,7 +307,7 @@ class TestBadInput:
     def test_actions_of_the_wrong_shape(self):
         env = make(4)
         with pytest.raises(ValueError, match=r"'action' has shape \(4, 11\); this env needs \(4, 12\)"):
-            env.task.act(torch.zeros(4, 11))
+            env.runner.act(torch.zeros(4, 11))
 
     def test_commands_of_the_wrong_shape(self):
         env = make(4)
@@ -337,9 +337,9 @@ class TestBadInput:
 def test_the_task_runs_without_torchrl():
     env = make(2)
     assert isinstance(env.task, RidingTask)
-    env.task.act(torch.zeros(2, 12))
+    env.runner.act(torch.zeros(2, 12))
     env.engine.advance(4)
-    outcome = env.task.judge(torch.zeros(2, 2))
+    outcome = env.runner.judge(torch.zeros(2, 2))
     assert outcome.reward.shape == (2, 1)
     assert outcome.terminated.shape == (2,)
 

@@ -7,7 +7,7 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torchrl.envs import TransformedEnv
 
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.transforms import riding_transforms
+from torchrl_atr.envs.transforms import task_transforms
 from torchrl_atr.evaluation import command_grid, evaluate_tracking
 from torchrl_atr.evaluation import tracking as tracking_module
 from torchrl_atr.modules import make_networks
@@ -177,7 +177,7 @@ def test_bad_input_is_named(evaluate):
 
 def _riding(num_envs, seed):
     env = RidingEnv(num_envs=num_envs, seed=seed, pushes=False, num_threads=1)
-    return TransformedEnv(env, riding_transforms((0.16, 0.16), history_length=3, seed=seed))
+    return TransformedEnv(env, task_transforms((0.16, 0.16), history_length=3, seed=seed))
 
 
 def test_the_deployed_policy_on_the_real_env():
@@ -220,6 +220,6 @@ def test_a_riding_policy_that_holds_the_stand_is_measured_on_the_platform():
         return made[-1]
 
     result = evaluate_tracking(TensorDictSequential(zeros), make_env, ([0.0], [0.0]), 2, 0.02, 0.0)
-    speeds = made[0].base_env.engine.speeds
+    speeds = made[0].base_env.engine.hook.speeds
     np.testing.assert_allclose(result.rms_speed_error[0, 0], np.abs(speeds[:, 0]), rtol=1e-6)
     np.testing.assert_allclose(result.settled_yaw_rate[0, 0], speeds[:, 1], rtol=1e-6)

@@ -95,9 +95,9 @@ def _action(value=0.0, size=12):
             "a score needs (2, 1)",
         ),
         (
-            lambda g: g.with_transform(CommandCurriculum([1.0, 1.0], rest_key="speed")),
+            lambda g: g.with_transform(CommandCurriculum([1.0, 1.0], unscored_key="speed")),
             KeyError,
-            "rest_key 'speed'",
+            "unscored_key 'speed'",
             "did you mean 'speeds'?",
         ),
         (lambda g: g.with_transform(ObservationHistory(3, in_key="obs")), KeyError, "'obs'", "name one of these"),

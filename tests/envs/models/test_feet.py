@@ -13,7 +13,7 @@ import pytest
 from torchrl_atr.envs import ROBOTS, RidingEnv, RobotError
 from torchrl_atr.envs.models import RobotSpec, load_robot
 from torchrl_atr.envs.models.feet import find_feet
-from torchrl_atr.envs.task.state import RidingState
+from torchrl_atr.envs.tasks.riding.state import RidingState
 
 A1 = ROBOTS.get("a1")
 FOOT = r'<geom name="(\w+)_foot" class="foot" pos="0 0 -0.2"/>'
@@ -47,7 +47,7 @@ def standing(robot: RobotSpec) -> tuple[RidingEnv, RidingState]:
     for _ in range(50):
         env.engine.step(np.array([robot.q0]))
     env.engine.forward()
-    return env, env.task._reader.read()
+    return env, env.runner.terms.reader.read()
 
 
 @pytest.mark.parametrize("kind", KINDS)

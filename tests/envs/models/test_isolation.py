@@ -100,7 +100,7 @@ def test_settings_of_a_robots_file_stay_out_of_the_scene(tmp_path, setting, tran
     found = scene_fields(scene.model)
     assert len(expected) > 150
     assert not [name for name in expected if not np.array_equal(expected[name], found[name])]
-    armature = scene.model.dof_armature[scene.layout.planar_dof]
+    armature = scene.model.dof_armature[scene.support_layout.planar_dof]
     np.testing.assert_allclose(armature, 200.0 * scene.model.body_subtreemass[scene.layout.trunk_body])
     assert scene.model.key(0).name == "stand"
     assert scene.model.nkey == 1

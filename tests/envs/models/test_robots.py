@@ -109,8 +109,8 @@ def test_robot_settles_near_its_desired_height(robot):
     """q0 held by the PD controllers on a deck that cannot tilt."""
     scene = build_scene(robot, get_transporter("single_board", robot))
     model = scene.model
-    model.jnt_stiffness[scene.layout.tilt_joints] = 1e6
-    model.dof_damping[scene.layout.tilt_dof] = 1e4
+    model.jnt_stiffness[scene.support_layout.tilt_joints] = 1e6
+    model.dof_damping[scene.support_layout.tilt_dof] = 1e4
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_step(model, data, 600)

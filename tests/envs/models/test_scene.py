@@ -46,10 +46,10 @@ def test_deck_is_uniform_boxes_of_table_iv(kind, size, mass):
     length, width, height = {"g1": (0.9, 0.7, 0.05), "g2": (1.5, 1.1, 0.05)}[size]
     assert deck.size == (length, width, height)
     assert model.body_subtreemass[layout.platform_body] == pytest.approx(mass)
-    boards = len(layout.deck_geoms)
+    boards = len(support.board_geoms)
     own, wide = mass / boards, width / boards
     each = own / 12 * np.array([wide**2 + height**2, length**2 + height**2, length**2 + wide**2])
-    for body, geom in zip(layout.deck_bodies, layout.deck_geoms):
+    for body, geom in zip(support.board_bodies, support.board_geoms):
         np.testing.assert_allclose(model.body_inertia[body], each)
         np.testing.assert_allclose(2 * model.geom_size[geom], [length, wide, height])
     # I*_zz of two touching halves, by the parallel-axis theorem, is that of the undivided board
@@ -62,7 +62,7 @@ def test_deck_is_uniform_boxes_of_table_iv(kind, size, mass):
 def test_two_boards_lie_side_by_side_with_the_right_legs_on_the_right_one(stand):
     scene = build_scene(A1, A1_BOARDS)
     data, layout = stand(scene.model), scene.layout
-    right, left = (data.geom_xpos[geom] for geom in layout.deck_geoms)
+    right, left = (data.geom_xpos[geom] for geom in support.board_geoms)
     np.testing.assert_allclose(right[:2], [0.0, -0.175], atol=1e-12)
     np.testing.assert_allclose(left[:2], [0.0, 0.175], atol=1e-12)
     half = A1_BOARDS.size[1] / 4
@@ -74,7 +74,7 @@ def test_two_boards_lie_side_by_side_with_the_right_legs_on_the_right_one(stand)
 def test_self_balancing_gains_follow_their_unit():
     for readings, unit in ((Readings(), 180 / np.pi), (get_readings("literal"), 1.0)):
         scene = build_scene(A1, BOARD, readings)
-        tilt, dofs = scene.layout.tilt_joints, scene.layout.tilt_dof
+        tilt, dofs = scene.support_layout.tilt_joints, scene.support_layout.tilt_dof
         np.testing.assert_allclose(scene.model.jnt_stiffness[tilt], 1.15 * unit)
         np.testing.assert_allclose(scene.model.dof_damping[dofs], 0.025 * unit)
 
@@ -116,7 +116,7 @@ def test_impossible_transporters_are_named(field):
 @pytest.mark.parametrize("transporter", ["single_board_g1", "two_board_g1"])
 def test_only_robot_and_boards_collide(transporter):
     scene = build_scene(A1, TRANSPORTERS.get(transporter))
-    model, decks = scene.model, set(scene.layout.deck_geoms.tolist())
+    model, decks = scene.model, set(scene.support_layout.board_geoms.tolist())
     pairs = {
         (i, j)
         for i in range(model.ngeom)
@@ -133,9 +133,9 @@ def test_zero_action_stands():
         env.engine.step(np.array([A1.q0]))
     qpos, layout = env.engine.qpos[0], env.scene.layout
     assert qpos[layout.root_qpos + 2] - DECK_TOP == pytest.approx(A1.standing_height, abs=0.01)
-    assert np.linalg.norm(qpos[layout.root_qpos : layout.root_qpos + 2] - qpos[layout.planar_qpos[:2]]) < 0.05
+    assert np.linalg.norm(qpos[layout.root_qpos : layout.root_qpos + 2] - qpos[support.planar_qpos[:2]]) < 0.05
     assert np.abs(qpos[layout.joint_qpos] - A1.q0).max() < 0.2
-    assert np.abs(qpos[layout.tilt_qpos]).max() < 0.1
+    assert np.abs(qpos[support.tilt_qpos]).max() < 0.1
     loads = -env.engine.sensordata[0, layout.sensors["foot_force"]].reshape(4, 3)
     assert loads[:, 2].min() > 10.0
     assert loads[:, 2].sum() == pytest.approx(11.74 * 9.81, rel=0.05)
