@@ -7,11 +7,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
-from torchrl_atr.envs.task.terminations import fallen
 
 from torchrl_atr.envs import ROBOTS, RidingEnv
 from torchrl_atr.envs.models import DESIGNS
-from torchrl_atr.envs.tasks import RIDING_REWARDS
+from torchrl_atr.envs.tasks import RIDING_REWARDS, StepContext
 
 PAIRS = [(robot, transporter) for robot in ROBOTS.names() for transporter in DESIGNS]
 STEPS = 500
@@ -80,7 +79,8 @@ def test_every_episode_starts_standing_on_its_boards(make):
         relative = td["privileged", "extrinsic"][:, 13:15].abs()
         assert (relative < size / 2).all()
         reading = env.runner.observe(torch.zeros(env.batch_size[0], 2))
-        assert not fallen(env.runner.terms.reader.read(), env.scene, env.readings).any()
+        context = StepContext(env.runner.terms.reader.read(), *[td["command"]] * 3, None, env.scene, env.readings)
+        assert not [name for name, ends in env.task.terminations.items() if ends(context).any()]
         assert (reading["proprio"][:, 6:8].abs() < 0.1).all()  # roll and pitch
 
 

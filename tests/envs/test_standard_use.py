@@ -34,7 +34,7 @@ from torchrl_atr.training.config import ConfigError, TrainConfig
 
 TRAINING = {
     "stagger": 5,
-    "retry": 0.5,
+    "failed_episode_replay": 0.5,
     "moving_start": 0.5,
     "runaway_margin": (2.0, 2.0),
     "max_steps": 20,
@@ -72,7 +72,7 @@ def test_actions_beyond_the_spec_are_carried_out_up_to_the_joints_ranges():
     env = RidingEnv(num_envs=1, num_threads=1, seed=0)
     env.step(env.reset().set("action", torch.full((1, 12), 5.0)))
     targets = env.engine.ctrl[0, env.scene.layout.actuators]
-    assert torch.allclose(torch.from_numpy(targets), torch.tensor(env.scene.robot.q0).double() + 0.25 * 5.0)
+    assert torch.allclose(targets, torch.tensor(env.scene.robot.q0).double() + 0.25 * 5.0)
 
 
 @pytest.mark.parametrize("bounded", [True, False])
@@ -253,8 +253,8 @@ def test_a_state_that_is_not_finite_in_float32_is_refused():
         ("compiled", 1),
         ("num_threads", 2.5),
         ("num_threads", True),
-        ("retry", "x"),
-        ("retry", True),
+        ("failed_episode_replay", "x"),
+        ("failed_episode_replay", True),
         ("moving_start", True),
         ("moving_start", float("nan")),
         ("seed", 1.5),

@@ -36,6 +36,7 @@ def test_observations_are_flat_and_none_is_called_state():
     expected = {
         "proprio": 44,
         "command": 2,
+        "moving_start": 1,
         "observation": 46,
         "speeds": 2,
         "odometry": 3,
@@ -152,10 +153,11 @@ def test_the_floor_moves_back_under_a_board_that_rides():
     environment.reset()
     engine = environment.task.runner.engine
     floor = environment.physics.model.name2id("floor", "geom")
-    engine.hook.speeds[:], engine.world_offset[:] = (2.0, 0.0), (1e4 + 0.3, 0.0)
+    engine.hook.speeds[:] = torch.tensor([2.0, 0.0])
+    engine.world_offset[:] = torch.tensor([1e4 + 0.3, 0.0], dtype=torch.float64)
     for _ in range(5):
         environment.step(np.zeros(12))
-    moved = engine.world_offset[0] - (1e4, 0.0)
+    moved = engine.world_offset[0] - torch.tensor([1e4, 0.0])
     assert moved[0] > 0.4
     np.testing.assert_allclose(environment.physics.data.geom_xpos[floor, :2], -moved, atol=1e-9)
     environment.reset()

@@ -209,6 +209,7 @@ def test_a_moving_start_is_not_scored():
     env = make_riding_env(num_envs=64, num_threads=1, seed=0, moving_start=0.5, window=3, max_steps=6)
     td = env.reset()
     moving, rows = td["speeds"].ne(0).any(-1), env.transform[0].rows
+    assert torch.equal(td["moving_start"].squeeze(-1), moving)
     assert 10 < int(moving.sum()) < 54
     assert torch.equal(rows.cells < 0, moving)
     for _ in range(3):
