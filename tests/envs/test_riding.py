@@ -8,10 +8,10 @@ import torch
 from mujoco.batch import SimulationError
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import check_env_specs
-from torchrl_atr.envs.tasks.runner import EpisodeRunner
 
 from torchrl_atr.envs.physics.batch import BatchEngine
 from torchrl_atr.envs.riding import RidingEnv
+from torchrl_atr.envs.tasks.runner import EpisodeRunner
 
 
 def make(num_envs: int = 4, **kwargs: object) -> RidingEnv:

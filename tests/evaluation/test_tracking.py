@@ -134,7 +134,7 @@ def test_estimator_errors_by_hand(evaluate):
     assert (errors.steps == 20).all()
     latent, extrinsic = errors.moments()
     assert latent == pytest.approx((3**0.5, 0.0), abs=1e-6)
-    assert [name for name, *_ in extrinsic] == [f"extrinsic[{i}]" for i in range(4)]
+    assert [component.name for component, *_ in extrinsic] == [f"extrinsic[{i}]" for i in range(4)]
     np.testing.assert_allclose([mean for _, mean, _ in extrinsic], off.abs(), atol=1e-6)
     assert evaluate(policy).estimators.latent is None
     assert evaluate(lambda command: command).estimators is None
@@ -201,8 +201,8 @@ def test_the_deployed_policy_on_the_real_env():
     assert set(result.policy_reads) == {"history", "observation", "odometry"}
     assert result.rms_speed_error[0, 0, 0] != result.rms_speed_error[0, 0, 1]  # intrinsics of their own
     extrinsic = env.observation_spec["privileged", "extrinsic"].shape[-1]
-    assert len(result.estimators.names) == extrinsic
-    assert result.estimators.names[0] == "contacts[0]"
+    assert len(result.estimators.components) == extrinsic
+    assert result.estimators.components[0] == ("contacts[0]", "contact FR", "1")
     assert np.isfinite(result.estimators.latent).all()
 
 
