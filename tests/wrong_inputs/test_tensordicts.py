@@ -59,13 +59,13 @@ def _action(value=0.0, size=12):
             lambda g: g.step(action=_action(), command=_action(size=3)),
             ValueError,
             "'command' has shape (2, 3)",
-            "(2, 2): (c_v, c_omega)",
+            "(2, 2): (speed, yaw_rate)",
         ),
         (
             lambda g: g.step(action=_action(), command=_action(NAN, 2)),
             ValueError,
             "'command' is not finite for env ids [0, 1]",
-            "give m/s and rad/s",
+            "give m/s, rad/s",
         ),
         (
             lambda g: g.base.set_state(g.base.get_state().exclude("qpos")),
