@@ -80,7 +80,7 @@ def test_the_mirror_puts_the_board_where_the_odometer_says(env):
     planar, root = support.planar_qpos[:2], layout.root_qpos
     x, y, heading = mirror.pose()
     np.testing.assert_allclose([x, y], engine.qpos[1, planar] + torch.tensor([30.0, -7.0]))
-    assert heading == engine.qpos[1, support.planar_qpos[2]]
+    assert heading == pytest.approx(engine.qpos[1, support.planar_qpos[2]].item(), abs=1e-12)
     # board and robot move together: their distance, and the joints, are the engine's
     shown = mirror.data.qpos
     np.testing.assert_allclose(
