@@ -111,7 +111,7 @@ def _parts(loop: TrainingLoop) -> dict[tuple[str, str], tuple[Any, str]]:
     base, learner = loop.env.base_env, loop.learner
     return {
         ("collect", "physics"): (base.engine, "_substep"),
-        ("collect", "drive law"): (base.engine, "advance"),
+        ("collect", "hook"): (base.engine, "advance"),
         ("collect", "task"): (base, "_step"),
         ("collect", "resets"): (base, "_reset"),
         ("collect", "transforms"): (loop.env, "step_and_maybe_reset"),

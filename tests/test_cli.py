@@ -89,7 +89,7 @@ def test_a_policy_rides_another_transporter_by_name(tmp_path, capsys, monkeypatc
     ridden = []
     monkeypatch.setattr(evaluation, "record_video", lambda policy, env, *_, **__: ridden.append(env))
     assert main(["play", str(run), "--transporter", "single_board_g2", "--video", "ride.gif"]) == 0
-    assert ridden[0].base_env.scene.transporter.name == "single_board_g2"
+    assert ridden[0].base_env.scene.support.spec.name == "single_board_g2"
     for command in (["evaluate", str(run), "--output", str(report)], ["play", str(run)]):
         assert main([*command, "--transporter", "sled"]) == 2
         assert "unknown transporter 'sled'; known: single_board, two_board" in capsys.readouterr().err

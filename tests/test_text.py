@@ -14,7 +14,6 @@ import pytest
 from torchrl_atr._text import number
 from torchrl_atr.cli import commands, main
 from torchrl_atr.cli.printing import estimator_lines, replay_head, replay_line
-from torchrl_atr.envs.task.observations import EXTRINSIC, EXTRINSIC_LABELS
 from torchrl_atr.training import TrainConfig
 from torchrl_atr.training import progress as progress_module
 
@@ -136,18 +135,16 @@ def test_training_that_is_stopped_says_how_to_go_on(capsys):
 
 def test_every_extrinsic_state_has_a_name_and_a_unit():
     from torchrl_atr.envs import RidingEnv
-    from torchrl_atr.envs.task.observations import extrinsic_label
-    from torchrl_atr.evaluation.access import extrinsic_names
+    from torchrl_atr.evaluation.access import extrinsic_components
 
-    assert EXTRINSIC_LABELS.keys() == EXTRINSIC.keys()
     env = RidingEnv(num_envs=1, seed=0)
     size = env.reset()["privileged", "extrinsic"].shape[-1]
-    labels = [extrinsic_label(name) for name in extrinsic_names(env, size)]
-    assert len({label for label, _ in labels}) == size == 16
-    assert labels[0] == ("contact FR", "1")
-    assert labels[4] == ("body velocity x", "m/s")
-    assert labels[15] == ("relative yaw", "rad")
-    assert all(unit for _, unit in labels)
+    components = extrinsic_components(env, size)
+    assert len({component.label for component in components}) == size == 16
+    assert components[0] == ("contacts[0]", "contact FR", "1")
+    assert components[4] == ("body_velocity[0]", "body velocity x", "m/s")
+    assert components[15] == ("relative_yaw[0]", "relative yaw", "rad")
+    assert all(component.unit for component in components)
 
 
 def test_table_v_is_printed_with_names_and_units():

@@ -10,8 +10,7 @@ from torchrl.envs.utils import check_env_specs
 
 from torchrl_atr.envs import ROBOTS, RidingEnv
 from torchrl_atr.envs.models import DESIGNS
-from torchrl_atr.envs.task.rewards import RIDING_REWARDS
-from torchrl_atr.envs.task.terminations import fallen
+from torchrl_atr.envs.tasks import RIDING_REWARDS, StepContext
 
 PAIRS = [(robot, transporter) for robot in ROBOTS.names() for transporter in DESIGNS]
 STEPS = 500
@@ -73,14 +72,15 @@ def test_random_actions_stay_finite_move_every_observation_and_name_every_term(m
 def test_every_episode_starts_standing_on_its_boards(make):
     """Table II in its training range, the robot upright and inside its deck."""
     env = make()
-    size = torch.tensor(env.scene.transporter.size[:2]) / 2
+    size = torch.tensor(env.scene.support.spec.size[:2]) / 2
     for _ in range(3):
         td = env.reset()
         assert (td["privileged", "intrinsic"].abs() <= 1.0 + 1e-6).all()
         relative = td["privileged", "extrinsic"][:, 13:15].abs()
         assert (relative < size / 2).all()
-        reading = env.task.observe(torch.zeros(env.batch_size[0], 2))
-        assert not fallen(env.task._reader.read(), env.scene, env.readings).any()
+        reading = env.runner.observe(torch.zeros(env.batch_size[0], 2))
+        context = StepContext(env.runner.terms.reader.read(), *[td["command"]] * 3, None, env.scene, env.readings)
+        assert not [name for name, ends in env.task.terminations.items() if ends(context).any()]
         assert (reading["proprio"][:, 6:8].abs() < 0.1).all()  # roll and pitch
 
 

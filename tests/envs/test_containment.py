@@ -12,7 +12,7 @@ from tensordict import TensorDict
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs import ROBOTS, RidingEnv
 from torchrl_atr.envs.recorder import load_dump
-from torchrl_atr.envs.task import core
+from torchrl_atr.envs.tasks import ObservationTerm
 from torchrl_atr.evaluation import replay
 
 BAD, STEP = 2, 7
@@ -24,30 +24,33 @@ def spoil_simulation(env, monkeypatch):
 
 
 def spoil_observation(env, monkeypatch):
-    proprio = core.observations.proprio
+    observations = env.runner.terms.observations
+    term = observations.groups["proprio"]["angular_velocity"]
 
-    def spoiled(*arguments):
-        values = proprio(*arguments)
-        values[BAD, 5] = torch.nan
+    def spoiled(context):
+        values = term.function(context).clone()
+        values[BAD, 2] = torch.nan
         return values
 
-    monkeypatch.setattr(core.observations, "proprio", spoiled)
+    monkeypatch.setitem(
+        observations.groups, "proprio", {**observations.groups["proprio"], "angular_velocity": ObservationTerm(spoiled)}
+    )
 
 
 def spoil_rewards(env, monkeypatch, spoil):
     """Have ``spoil(reward, terms)`` change what a step scores."""
-    compute = type(env.task.rewards).__call__
+    compute = type(env.runner.terms.rewards).__call__
 
     def spoiled(rewards, context):
         reward, terms = compute(rewards, context)
         spoil(reward, terms)
         return reward, terms
 
-    monkeypatch.setattr(type(env.task.rewards), "__call__", spoiled)
+    monkeypatch.setattr(type(env.runner.terms.rewards), "__call__", spoiled)
 
 
 def spoil_term(env, monkeypatch):
-    row = list(env.task.rewards.terms).index("force_regulation")
+    row = list(env.runner.terms.rewards.terms).index("force_regulation")
     spoil_rewards(env, monkeypatch, lambda reward, terms: terms[row, BAD].fill_(torch.nan))
 
 

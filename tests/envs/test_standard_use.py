@@ -26,7 +26,7 @@ from torchrl_atr.envs.transforms import (
     RunawayTermination,
     StaggeredCounter,
     StoredOnce,
-    riding_transforms,
+    task_transforms,
 )
 from torchrl_atr.modules import make_networks
 from torchrl_atr.training import make_config
@@ -34,7 +34,7 @@ from torchrl_atr.training.config import ConfigError, TrainConfig
 
 TRAINING = {
     "stagger": 5,
-    "retry": 0.5,
+    "failed_episode_replay": 0.5,
     "moving_start": 0.5,
     "runaway_margin": (2.0, 2.0),
     "max_steps": 20,
@@ -72,7 +72,7 @@ def test_actions_beyond_the_spec_are_carried_out_up_to_the_joints_ranges():
     env = RidingEnv(num_envs=1, num_threads=1, seed=0)
     env.step(env.reset().set("action", torch.full((1, 12), 5.0)))
     targets = env.engine.ctrl[0, env.scene.layout.actuators]
-    assert torch.allclose(torch.from_numpy(targets), torch.tensor(env.scene.robot.q0).double() + 0.25 * 5.0)
+    assert torch.allclose(targets, torch.tensor(env.scene.robot.q0).double() + 0.25 * 5.0)
 
 
 @pytest.mark.parametrize("bounded", [True, False])
@@ -142,7 +142,7 @@ def test_a_transforms_own_seed_after_the_envs_counts():
     "build",
     [
         lambda: make(**TRAINING),
-        lambda: RidingEnv(num_envs=2, seed=0, num_threads=1, retry=0.5),
+        lambda: RidingEnv(num_envs=2, seed=0, num_threads=1, failed_episode_replay=0.5),
         lambda: make(num_envs=1, physics="dm_control", max_steps=20, window=15),
     ],
     ids=["make", "bare", "dm_control"],
@@ -195,7 +195,7 @@ torch.set_default_dtype(getattr(torch, sys.argv[1]))
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.modules import Exploration, leg_synergies, make_networks
 torch.manual_seed(0)
-env = make_riding_env(num_envs=3, seed=0, num_threads=1, max_steps=20, window=15, stagger=5, retry=0.5,
+env = make_riding_env(num_envs=3, seed=0, num_threads=1, max_steps=20, window=15, stagger=5, failed_episode_replay=0.5,
                       moving_start=0.5, runaway_margin=(2.0, 2.0))
 action, root, total = torch.full((3, 12), 0.3, dtype=torch.float32), env.reset(), 0.0
 for _ in range(60):
@@ -253,8 +253,8 @@ def test_a_state_that_is_not_finite_in_float32_is_refused():
         ("compiled", 1),
         ("num_threads", 2.5),
         ("num_threads", True),
-        ("retry", "x"),
-        ("retry", True),
+        ("failed_episode_replay", "x"),
+        ("failed_episode_replay", True),
         ("moving_start", True),
         ("moving_start", float("nan")),
         ("seed", 1.5),
@@ -279,9 +279,9 @@ def test_wrong_kinds_of_arguments_are_named(name, value):
 @pytest.mark.parametrize(
     ("provoke", "name"),
     [
-        (lambda: riding_transforms((0.2, 0.2), max_steps=10.5), "max_steps=10.5"),
-        (lambda: riding_transforms((0.2, 0.2), stagger=True), "stagger=True"),
-        (lambda: riding_transforms((0.2, 0.2), stored_once=1), "stored_once=1"),
+        (lambda: task_transforms((0.2, 0.2), max_steps=10.5), "max_steps=10.5"),
+        (lambda: task_transforms((0.2, 0.2), stagger=True), "stagger=True"),
+        (lambda: task_transforms((0.2, 0.2), stored_once=1), "stored_once=1"),
         (lambda: CommandCurriculum(0.2), "tracking_max=0.2"),
         (lambda: CommandCurriculum((0.2, 0.2), thresholds=("a", "b")), "thresholds='a'"),
         (lambda: CommandCurriculum((0.2, 0.2), window=2.5), "window=2.5"),
@@ -301,7 +301,7 @@ def test_wrong_kinds_of_arguments_are_named(name, value):
         (lambda: CommandCurriculum((True, 0.2)), "tracking_max=True"),
         (lambda: CommandCurriculum(torch.tensor(0.2)), "tracking_max="),
         (lambda: CommandCurriculum((0.2, 0.2), tracking_keys=(1, 2)), "tracking_keys=1"),
-        (lambda: CommandCurriculum((0.2, 0.2), rest_key=(1, 2)), "rest_key="),
+        (lambda: CommandCurriculum((0.2, 0.2), unscored_key=(1, 2)), "unscored_key="),
         (lambda: CommandCurriculum((0.2, 0.2), command_key=()), "command_key="),
         (lambda: RunawayTermination(CommandCurriculum((0.2, 0.2)), speeds_key=None), "speeds_key=None"),
         (lambda: RunawayTermination(CommandCurriculum((0.2, 0.2)), reward_keys=(1,)), "reward_keys=1"),

@@ -36,6 +36,7 @@ def test_observations_are_flat_and_none_is_called_state():
     expected = {
         "proprio": 44,
         "command": 2,
+        "moving_start": 1,
         "observation": 46,
         "speeds": 2,
         "odometry": 3,
@@ -64,7 +65,7 @@ def test_it_is_the_task_that_riding_env_asks():
     environment.task.command = (0.7, -0.2)
     first = environment.reset()
     env = RidingEnv(num_envs=1, seed=3, num_threads=1, pushes=False)
-    task = environment.task.core
+    task = environment.task.runner
     state = {**task.get_state(), "command": torch.tensor([[0.7, -0.2]])}
     env.set_state(type(env.get_state())(state, batch_size=[1]))
     np.testing.assert_allclose(first.observation["observation"], env._emitted["observation"][0], atol=1e-6)
@@ -101,7 +102,7 @@ def test_a_fall_has_discount_zero_and_the_time_limit_one():
     assert [step.last() for step in steps] == [False, False, True]
     assert steps[-1].discount == 1.0
     assert environment.step(np.zeros(12)).first()
-    environment.physics.data.qpos[environment.task.core.scene.layout.root_qpos] += 1.0
+    environment.physics.data.qpos[environment.task.runner.scene.layout.root_qpos] += 1.0
     fallen = environment.step(np.zeros(12))
     assert fallen.last()
     assert fallen.discount == 0.0
@@ -150,12 +151,13 @@ def test_bad_input_is_named():
 def test_the_floor_moves_back_under_a_board_that_rides():
     environment = suite.load(random=0, pushes=False)
     environment.reset()
-    engine = environment.task.core.engine
+    engine = environment.task.runner.engine
     floor = environment.physics.model.name2id("floor", "geom")
-    engine.speeds[:], engine.odometer[:] = (2.0, 0.0), (1e4 + 0.3, 0.0)
+    engine.hook.speeds[:] = torch.tensor([2.0, 0.0])
+    engine.world_offset[:] = torch.tensor([1e4 + 0.3, 0.0], dtype=torch.float64)
     for _ in range(5):
         environment.step(np.zeros(12))
-    moved = engine.odometer[0] - (1e4, 0.0)
+    moved = engine.world_offset[0] - torch.tensor([1e4, 0.0])
     assert moved[0] > 0.4
     np.testing.assert_allclose(environment.physics.data.geom_xpos[floor, :2], -moved, atol=1e-9)
     environment.reset()

@@ -14,6 +14,7 @@ from torchrl_atr.evaluation import (
     tracking_metrics,
     write_report,
 )
+from torchrl_atr.evaluation.access import Component
 
 
 @pytest.fixture
@@ -21,7 +22,8 @@ def full_result(random_result):
     """With estimator errors."""
     shape = random_result.fall_time.shape
     errors = np.random.default_rng(0).random((*shape, 2))
-    estimators = EstimatorErrors(np.full(shape, 3.0), ("a", "b"), errors, errors**2)
+    components = Component("a", "a", "m"), Component("b[0]", "b x", None)
+    estimators = EstimatorErrors(np.full(shape, 3.0), components, errors, errors**2)
     return replace(random_result, estimators=estimators)
 
 

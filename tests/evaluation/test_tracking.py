@@ -7,7 +7,7 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torchrl.envs import TransformedEnv
 
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.transforms import riding_transforms
+from torchrl_atr.envs.transforms import task_transforms
 from torchrl_atr.evaluation import command_grid, evaluate_tracking
 from torchrl_atr.evaluation import tracking as tracking_module
 from torchrl_atr.modules import make_networks
@@ -134,7 +134,7 @@ def test_estimator_errors_by_hand(evaluate):
     assert (errors.steps == 20).all()
     latent, extrinsic = errors.moments()
     assert latent == pytest.approx((3**0.5, 0.0), abs=1e-6)
-    assert [name for name, *_ in extrinsic] == [f"extrinsic[{i}]" for i in range(4)]
+    assert [component.name for component, *_ in extrinsic] == [f"extrinsic[{i}]" for i in range(4)]
     np.testing.assert_allclose([mean for _, mean, _ in extrinsic], off.abs(), atol=1e-6)
     assert evaluate(policy).estimators.latent is None
     assert evaluate(lambda command: command).estimators is None
@@ -177,7 +177,7 @@ def test_bad_input_is_named(evaluate):
 
 def _riding(num_envs, seed):
     env = RidingEnv(num_envs=num_envs, seed=seed, pushes=False, num_threads=1)
-    return TransformedEnv(env, riding_transforms((0.16, 0.16), history_length=3, seed=seed))
+    return TransformedEnv(env, task_transforms((0.16, 0.16), history_length=3, seed=seed))
 
 
 def test_the_deployed_policy_on_the_real_env():
@@ -201,8 +201,8 @@ def test_the_deployed_policy_on_the_real_env():
     assert set(result.policy_reads) == {"history", "observation", "odometry"}
     assert result.rms_speed_error[0, 0, 0] != result.rms_speed_error[0, 0, 1]  # intrinsics of their own
     extrinsic = env.observation_spec["privileged", "extrinsic"].shape[-1]
-    assert len(result.estimators.names) == extrinsic
-    assert result.estimators.names[0] == "contacts[0]"
+    assert len(result.estimators.components) == extrinsic
+    assert result.estimators.components[0] == ("contacts[0]", "contact FR", "1")
     assert np.isfinite(result.estimators.latent).all()
 
 
@@ -220,6 +220,6 @@ def test_a_riding_policy_that_holds_the_stand_is_measured_on_the_platform():
         return made[-1]
 
     result = evaluate_tracking(TensorDictSequential(zeros), make_env, ([0.0], [0.0]), 2, 0.02, 0.0)
-    speeds = made[0].base_env.engine.speeds
+    speeds = made[0].base_env.engine.hook.speeds
     np.testing.assert_allclose(result.rms_speed_error[0, 0], np.abs(speeds[:, 0]), rtol=1e-6)
     np.testing.assert_allclose(result.settled_yaw_rate[0, 0], speeds[:, 1], rtol=1e-6)

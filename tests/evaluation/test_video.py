@@ -5,7 +5,7 @@ from tensordict.nn import TensorDictModule
 from torchrl.envs import TransformedEnv
 
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.transforms import riding_transforms
+from torchrl_atr.envs.transforms import task_transforms
 from torchrl_atr.evaluation import play_viewer, record_video, rendering
 from torchrl_atr.evaluation.rendering import Mirror, Picture
 from torchrl_atr.evaluation.video import command_at, ride
@@ -15,7 +15,7 @@ from torchrl_atr.evaluation.viewer import Keyboard
 @pytest.fixture
 def env():
     base = RidingEnv(num_envs=2, seed=0, pushes=False, num_threads=1)
-    return TransformedEnv(base, riding_transforms((0.16, 0.16), history_length=2, seed=0))
+    return TransformedEnv(base, task_transforms((0.16, 0.16), history_length=2, seed=0))
 
 
 @pytest.fixture
@@ -75,12 +75,12 @@ def test_the_policy_sees_the_command_of_its_step(env):
 def test_the_mirror_puts_the_board_where_the_odometer_says(env):
     env.rand_step(env.reset())
     engine = env.base_env.engine
-    engine.odometer[:] = [[0.0, 0.0], [30.0, -7.0]]
-    mirror, layout = Mirror(env, row=1), engine.scene.layout
-    planar, root = layout.planar_qpos[:2], layout.root_qpos
+    engine.world_offset[:] = torch.tensor([[0.0, 0.0], [30.0, -7.0]])
+    mirror, layout, support = Mirror(env, row=1), engine.scene.layout, engine.scene.support_layout
+    planar, root = support.planar_qpos[:2], layout.root_qpos
     x, y, heading = mirror.pose()
-    np.testing.assert_allclose([x, y], engine.qpos[1, planar] + [30.0, -7.0])
-    assert heading == engine.qpos[1, layout.planar_qpos[2]]
+    np.testing.assert_allclose([x, y], engine.qpos[1, planar] + torch.tensor([30.0, -7.0]))
+    assert heading == pytest.approx(engine.qpos[1, support.planar_qpos[2]].item(), abs=1e-12)
     # board and robot move together: their distance, and the joints, are the engine's
     shown = mirror.data.qpos
     np.testing.assert_allclose(
@@ -103,7 +103,7 @@ def test_a_picture_shows_board_and_sky(picture):
 
 def test_the_floor_moves_and_the_board_stays_in_the_middle(env, picture):
     before = picture.render().astype(int)
-    env.base_env.engine.odometer[0] += [0.7, 0.3]
+    env.base_env.engine.world_offset[0] += torch.tensor([0.7, 0.3])
     after = picture.render().astype(int)
     deck = [(image[..., 2] - image[..., 0] > 40)[12:] for image in (before, after)]
     assert deck[0].any()
@@ -119,15 +119,15 @@ def test_far_away_the_picture_is_the_same(env, picture, far):
         return float((np.abs(near - image.astype(int)).sum(-1) > 15).mean())
 
     near = picture.render().astype(int)
-    env.base_env.engine.odometer[0] += far
+    env.base_env.engine.world_offset[0] += torch.tensor(far)
     assert differs(picture.render()) < 1e-3
-    env.base_env.engine.odometer[0] += [2.0, 0.0]  # half of it: light and dark change places
+    env.base_env.engine.world_offset[0] += torch.tensor([2.0, 0.0])  # half of it: light and dark change places
     assert differs(picture.render()) > 0.3
 
 
 def test_the_mirror_stays_near_the_origin(env):
     engine = env.base_env.engine
-    engine.odometer[1] = [12_345.5, -1e6 - 0.25]
+    engine.world_offset[1] = torch.tensor([12_345.5, -1e6 - 0.25])
     x, y, _ = Mirror(env, row=1).pose()
     np.testing.assert_allclose([x, y], [45.5, -0.25], atol=0.1)
 
@@ -214,4 +214,4 @@ def test_a_fall_restarts_the_shown_robot(env):
     rider = ride(policy, env, [(0.0, 0.0, 0.0)], 200)
     assert any(fell for _, fell in rider)
     rider.close()
-    assert (env.base_env.engine.speeds[0] == 0).all()  # as only a reset leaves it
+    assert (env.base_env.engine.hook.speeds[0] == 0).all()  # as only a reset leaves it

@@ -59,13 +59,13 @@ def _action(value=0.0, size=12):
             lambda g: g.step(action=_action(), command=_action(size=3)),
             ValueError,
             "'command' has shape (2, 3)",
-            "(2, 2): (c_v, c_omega)",
+            "(2, 2): (speed, yaw_rate)",
         ),
         (
             lambda g: g.step(action=_action(), command=_action(NAN, 2)),
             ValueError,
             "'command' is not finite for env ids [0, 1]",
-            "give m/s and rad/s",
+            "give m/s, rad/s",
         ),
         (
             lambda g: g.base.set_state(g.base.get_state().exclude("qpos")),
@@ -95,9 +95,9 @@ def _action(value=0.0, size=12):
             "a score needs (2, 1)",
         ),
         (
-            lambda g: g.with_transform(CommandCurriculum([1.0, 1.0], rest_key="speed")),
+            lambda g: g.with_transform(CommandCurriculum([1.0, 1.0], unscored_key="speed")),
             KeyError,
-            "rest_key 'speed'",
+            "unscored_key 'speed'",
             "did you mean 'speeds'?",
         ),
         (lambda g: g.with_transform(ObservationHistory(3, in_key="obs")), KeyError, "'obs'", "name one of these"),

@@ -76,10 +76,11 @@ def achieved_speeds(env: EnvBase) -> Tensor:
     Raises:
         TypeError: if the env below all transforms is not a QuadrupedEnv whose task observes ``speeds``.
     """
-    speeds = getattr(base_env(env), "speeds", None)
+    base = base_env(env)
+    speeds = base.speeds if isinstance(base, QuadrupedEnv) else None
     if speeds is None:
         raise TypeError(
-            f"{type(base_env(env)).__name__} does not say what answers the command; pass speeds=, a "
+            f"{type(base).__name__} does not say what answers the command; pass speeds=, a "
             "function of the env that returns (N, 2): forward speed in m/s and yaw rate in rad/s"
         )
     return speeds

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from torchrl_atr._files import atomic, write_json
+from torchrl_atr.evaluation.access import Component
 from torchrl_atr.evaluation.estimators import EstimatorErrors
 from torchrl_atr.evaluation.tracking import TrackingResult
 
@@ -51,6 +52,7 @@ def save_tracking(result: TrackingResult, path: str | Path) -> Path:
     arrays = {f.name: getattr(result, f.name) for f in fields(result) if f.name != "estimators"}
     if result.estimators is not None:
         own = {f.name: getattr(result.estimators, f.name) for f in fields(result.estimators)}
+        own["components"] = [[name, label, unit or ""] for name, label, unit in result.estimators.components]
         arrays |= {_ESTIMATORS + name: value for name, value in own.items() if value is not None}
     with atomic(path) as file:
         np.savez_compressed(file, **{name: np.asarray(value) for name, value in arrays.items()})  # type: ignore[arg-type]
@@ -66,14 +68,17 @@ def load_tracking(path: str | Path) -> TrackingResult:
     """
     with np.load(path) as file:
         arrays = {name: _plain(file[name]) for name in file.files}
+    own = {name.removeprefix(_ESTIMATORS): arrays.pop(name) for name in list(arrays) if name.startswith(_ESTIMATORS)}
     missing = [f.name for f in fields(TrackingResult) if f.name != "estimators" and f.name not in arrays]
+    missing += ["components"] if own and "components" not in own else []
     if missing:
         raise KeyError(f"{path} lacks {', '.join(missing)}: not a tracking file, or an old one; evaluate again")
-    own = {name.removeprefix(_ESTIMATORS): arrays.pop(name) for name in list(arrays) if name.startswith(_ESTIMATORS)}
     return TrackingResult(**arrays, estimators=EstimatorErrors(**own) if own else None)
 
 
 def _plain(array: np.ndarray) -> Any:
+    if array.dtype.kind == "U" and array.ndim == 2:
+        return tuple(Component(name, label, unit or None) for name, label, unit in array.tolist())
     if array.dtype.kind == "U" or array.size == 0:
         return tuple(str(item) for item in array)
     return float(array) if array.ndim == 0 else array

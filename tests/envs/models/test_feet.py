@@ -9,11 +9,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from torchrl_atr.envs import ROBOTS, RidingEnv, RobotError
 from torchrl_atr.envs.models import RobotSpec, load_robot
 from torchrl_atr.envs.models.feet import find_feet
-from torchrl_atr.envs.task.state import RidingState
+from torchrl_atr.envs.tasks.riding.state import RidingState
 
 A1 = ROBOTS.get("a1")
 FOOT = r'<geom name="(\w+)_foot" class="foot" pos="0 0 -0.2"/>'
@@ -45,9 +46,9 @@ def robot_with(folder: Path, foot: str, feet: tuple = A1.feet) -> RobotSpec:
 def standing(robot: RobotSpec) -> tuple[RidingEnv, RidingState]:
     env = RidingEnv(robot, num_envs=1, seed=0, num_threads=1, randomization="off", pushes=False)
     for _ in range(50):
-        env.engine.step(np.array([robot.q0]))
+        env.engine.step(torch.tensor([robot.q0]))
     env.engine.forward()
-    return env, env.task._reader.read()
+    return env, env.runner.terms.reader.read()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -57,7 +58,7 @@ def test_all_geoms_of_a_foot_are_the_foot(tmp_path, kind):
     assert env.scene.layout.foot_sizes == (KINDS[kind].count("<geom"),) * 4
     assert state.contacts.tolist() == [[1.0] * 4]
     weight = 9.81 * env.model.body_subtreemass[env.scene.layout.trunk_body]
-    assert state.foot_force[0, :, 2].sum() == pytest.approx(weight, rel=0.1)
+    assert state.foot_force[0, :, 2].sum().item() == pytest.approx(weight, rel=0.1)
     assert state.other_force.abs().max() < 1e-3
     data = mujoco.MjData(env.model)
     data.qpos[:] = env.engine.qpos[0]

@@ -9,7 +9,7 @@ import pytest
 
 from tests.own_robot import write_robot
 from torchrl_atr.envs import RobotError, get_robot
-from torchrl_atr.envs.models import build_scene, get_transporter
+from torchrl_atr.envs.models import Transporter, build_scene, get_transporter
 from torchrl_atr.envs.models.files import copy_robot, dependencies
 from torchrl_atr.envs.models.identity import describe, differences
 
@@ -18,7 +18,7 @@ EVERYTHING = {"mine.toml", "mine.xml", "more.xml", "a.stl", "t.png"}
 
 def description(toml: Path):
     robot = get_robot(toml)
-    return describe(build_scene(robot, get_transporter("single_board", robot)))
+    return describe(build_scene(robot, Transporter(get_transporter("single_board", robot))))
 
 
 @pytest.mark.parametrize(

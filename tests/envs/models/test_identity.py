@@ -8,7 +8,7 @@ import json
 import pytest
 
 from torchrl_atr.envs import ROBOTS
-from torchrl_atr.envs.models import build_scene, get_transporter
+from torchrl_atr.envs.models import Transporter, build_scene, get_transporter
 from torchrl_atr.envs.models.identity import describe, differences, digest
 
 A1 = ROBOTS.get("a1")
@@ -16,7 +16,7 @@ DECK = get_transporter("single_board", A1)
 
 
 def description(robot=A1, transporter=DECK):
-    return describe(build_scene(robot, transporter))
+    return describe(build_scene(robot, Transporter(transporter)))
 
 
 @pytest.fixture(scope="module")

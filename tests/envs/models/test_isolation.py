@@ -12,8 +12,16 @@ import numpy as np
 import pytest
 
 from torchrl_atr.envs import RobotError
-from torchrl_atr.envs.models import DESIGNS, ROBOTS, RobotSpec, build_scene, get_transporter, load_robot, scene_xml
-from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.models import (
+    DESIGNS,
+    ROBOTS,
+    RobotSpec,
+    Transporter,
+    build_scene,
+    get_transporter,
+    load_robot,
+    scene_xml,
+)
 
 A1 = ROBOTS.get("a1")
 TEXT = A1.mjcf.read_text()
@@ -90,17 +98,21 @@ def scene_fields(model: mujoco.MjModel) -> dict[str, np.ndarray]:
     return {name: value for name, value in found.items() if not any(word in name for word in ROBOTS_OWN)}
 
 
+def boards(transporter: str, robot: RobotSpec) -> Transporter:
+    return Transporter(get_transporter(transporter, robot))
+
+
 @pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")
 @pytest.mark.parametrize("transporter", DESIGNS)
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_settings_of_a_robots_file_stay_out_of_the_scene(tmp_path, setting, transporter):
-    deck = get_transporter(transporter, A1)
+    deck = boards(transporter, A1)
     expected = scene_fields(build_scene(A1, deck).model)
     scene = build_scene(a1_with(tmp_path, setting), deck)
     found = scene_fields(scene.model)
     assert len(expected) > 150
     assert not [name for name in expected if not np.array_equal(expected[name], found[name])]
-    armature = scene.model.dof_armature[scene.layout.planar_dof]
+    armature = scene.model.dof_armature[scene.support_layout.planar_dof]
     np.testing.assert_allclose(armature, 200.0 * scene.model.body_subtreemass[scene.layout.trunk_body])
     assert scene.model.key(0).name == "stand"
     assert scene.model.nkey == 1
@@ -123,7 +135,7 @@ def test_settings_that_shape_the_robots_own_bodies_are_kept(tmp_path, setting):
     robot = a1_with(tmp_path, setting)
     robot.mjcf.write_text(text.replace("</mujoco>", f"{setting}</mujoco>"))
     alone = mujoco.MjModel.from_xml_path(str(robot.mjcf))
-    model = build_scene(robot, get_transporter("two_board", robot)).model
+    model = build_scene(robot, boards("two_board", robot)).model
     for name in (alone.body(i).name for i in range(1, alone.nbody)):
         for field in ("mass", "inertia", "ipos", "iquat"):
             ours, theirs = (getattr(of.body(name), field) for of in (model, alone))
@@ -139,7 +151,7 @@ def test_degrees_and_explicit_limits_are_the_robots_own(tmp_path):
     ).replace('euler="1.5707963 0 0"', 'euler="90 0 0"')
     robot = a1_with(tmp_path)
     robot.mjcf.write_text(degrees)
-    ours, theirs = (build_scene(each, get_transporter("two_board", A1)).model for each in (A1, robot))
+    ours, theirs = (build_scene(each, boards("two_board", A1)).model for each in (A1, robot))
     np.testing.assert_allclose(theirs.jnt_range, ours.jnt_range, atol=1e-9)
     np.testing.assert_allclose(theirs.actuator_ctrlrange, ours.actuator_ctrlrange, atol=1e-9)
     np.testing.assert_array_equal(theirs.jnt_limited, ours.jnt_limited)
@@ -195,7 +207,7 @@ def test_what_refers_to_removed_things_goes_too(tmp_path):
     assert [site.name for site in spec.sites] == ["chest"]
     assert not [*spec.skins, *spec.sensors, *spec.keys, *spec.pairs, *spec.excludes, *spec.tuples, *spec.plugins]
     assert len(spec.actuators) == 12
-    build_scene(robot, get_transporter("two_board", robot))
+    build_scene(robot, boards("two_board", robot))
 
 
 @pytest.mark.parametrize(
@@ -215,15 +227,15 @@ def test_a_name_of_the_scenes_own_is_refused(tmp_path, old, new, culprit):
     text = TEXT.replace("<worldbody>", '<asset><material name="scene_floor"/></asset><worldbody>')
     robot.mjcf.write_text(text.replace(old, new, 1))
     with pytest.raises(RobotError, match=f"{culprit}; give it another name in a copy of"):
-        build_scene(robot, get_transporter("two_board", robot))
+        build_scene(robot, boards("two_board", robot))
 
 
 def test_names_of_what_is_removed_do_not_clash(tmp_path):
     """A scene that we wrote is a robot's file like any other: its floor, lights and boards go."""
     path = tmp_path / "scene.xml"
-    path.write_text(scene_xml(A1, get_transporter("single_board", A1), Readings()))
-    again = build_scene(dataclasses.replace(A1, mjcf=path), get_transporter("single_board", A1))
-    ours = build_scene(A1, get_transporter("single_board", A1))
+    path.write_text(scene_xml(A1, boards("single_board", A1)))
+    again = build_scene(dataclasses.replace(A1, mjcf=path), boards("single_board", A1))
+    ours = build_scene(A1, boards("single_board", A1))
     np.testing.assert_array_equal(again.model.key_qpos, ours.model.key_qpos)
     np.testing.assert_array_equal(again.model.body_mass, ours.model.body_mass)
 
@@ -244,8 +256,8 @@ def simulate(model: mujoco.MjModel, substeps: int = 300) -> np.ndarray:
 @pytest.mark.parametrize("name", ["a1", "go1", "anymal_c", "spot"])
 def test_a_scene_written_to_a_file_simulates_the_same_bit_for_bit(tmp_path, name, transporter):
     robot = ROBOTS.get(name)
-    deck, path = get_transporter(transporter, robot), tmp_path / "scene.xml"
-    path.write_text(scene_xml(robot, deck, Readings()))
+    deck, path = boards(transporter, robot), tmp_path / "scene.xml"
+    path.write_text(scene_xml(robot, deck))
     np.testing.assert_array_equal(
         simulate(mujoco.MjModel.from_xml_path(str(path))), simulate(build_scene(robot, deck).model)
     )
@@ -289,13 +301,13 @@ def test_a_robot_that_attaches_another_model_is_that_model_and_can_be_written(tm
     (tmp_path / "source" / "parts" / "m").mkdir()
     (tmp_path / "source" / "parts" / "m" / "foot.obj").write_text(MESH)
     alone = mujoco.MjModel.from_xml_path(str(robot.mjcf))
-    deck, path = get_transporter("two_board", robot), tmp_path / "scene.xml"
+    deck, path = boards("two_board", robot), tmp_path / "scene.xml"
     scene = build_scene(robot, deck)
     for name in (alone.body(i).name for i in range(1, alone.nbody)):
         for field in ("mass", "inertia", "ipos", "iquat"):
             ours, theirs = (getattr(of.body(name), field) for of in (scene.model, alone))
             np.testing.assert_allclose(ours, theirs, rtol=1e-12, atol=1e-15, err_msg=f"{field} of {name}")
-    path.write_text(scene_xml(robot, deck, Readings()))
+    path.write_text(scene_xml(robot, deck))
     np.testing.assert_array_equal(simulate(mujoco.MjModel.from_xml_path(str(path))), simulate(scene.model))
 
 
@@ -303,7 +315,7 @@ def test_a_foot_may_be_called_as_the_scenes_sensors_are(tmp_path):
     names = ("robot", "com", "FL_foot", "RL_foot")
     robot = a1_with(tmp_path, feet=names)
     robot.mjcf.write_text(TEXT.replace('"FR_foot"', '"robot"').replace('"RR_foot"', '"com"'))
-    ours, theirs = (build_scene(each, get_transporter("single_board", A1)) for each in (A1, robot))
+    ours, theirs = (build_scene(each, boards("single_board", A1)) for each in (A1, robot))
     np.testing.assert_array_equal(simulate(ours.model), simulate(theirs.model))
     assert ours.layout.sensors == theirs.layout.sensors
 
@@ -313,8 +325,8 @@ def test_names_of_any_kind_are_written(tmp_path):
     text = TEXT.replace('"FR_foot"', '"FR &lt;&amp;&quot;\' ü"').replace('name="trunk"', 'name="trünk 😀"')
     robot.mjcf.write_text(text, encoding="utf-8")
     robot = dataclasses.replace(robot, name='my "robot" <&>')
-    deck, path = get_transporter("two_board", robot), tmp_path / "scene.xml"
-    path.write_text(scene_xml(robot, deck, Readings()), encoding="utf-8")
+    deck, path = boards("two_board", robot), tmp_path / "scene.xml"
+    path.write_text(scene_xml(robot, deck), encoding="utf-8")
     np.testing.assert_array_equal(
         simulate(mujoco.MjModel.from_xml_path(str(path))), simulate(build_scene(robot, deck).model)
     )
@@ -337,8 +349,8 @@ def test_a_robot_of_meshes_and_settings_is_written_anywhere(tmp_path, setting):
     asset = '<asset><mesh name="foot" file="foot.obj" scale="0.02 0.02 0.02"/></asset>'
     robot.mjcf.write_text(text.replace("<worldbody>", f"{asset}<worldbody>"))
     (tmp_path / "elsewhere").mkdir()
-    deck, path = get_transporter("two_board", robot), tmp_path / "elsewhere" / "scene.xml"
-    path.write_text(scene_xml(robot, deck, Readings()))
+    deck, path = boards("two_board", robot), tmp_path / "elsewhere" / "scene.xml"
+    path.write_text(scene_xml(robot, deck))
     np.testing.assert_array_equal(
         simulate(mujoco.MjModel.from_xml_path(str(path))), simulate(build_scene(robot, deck).model)
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from torchrl_atr.envs import RidingEnv, RobotError, get_robot, read_robot, register_robot
-from torchrl_atr.envs.models import ROBOTS, build_scene, get_transporter, load_robot
+from torchrl_atr.envs.models import ROBOTS, Transporter, build_scene, get_transporter, load_robot
 
 A1, GO1 = ROBOTS.get("a1"), ROBOTS.get("go1")
 TOML = """
@@ -105,10 +105,10 @@ def test_a_wrong_spec_file_says_so_before_any_simulation(folder, old, new, messa
 def test_a_spec_that_does_not_fit_its_file_names_the_fix(changes, message):
     robot = dataclasses.replace(A1, **changes)
     if message is None:
-        build_scene(robot, get_transporter("single_board", robot))
+        build_scene(robot, Transporter(get_transporter("single_board", robot)))
         return
     with pytest.raises(RobotError, match=re.escape(message)):
-        build_scene(robot, get_transporter("single_board", robot))
+        build_scene(robot, Transporter(get_transporter("single_board", robot)))
 
 
 def test_mirrored_legs_are_found_out():
@@ -123,7 +123,7 @@ def test_mirrored_legs_are_found_out():
     with pytest.raises(
         RobotError, match="is front left, but it is listed as FR: list joints, feet and q0 in the order"
     ):
-        build_scene(robot, get_transporter("single_board", robot))
+        build_scene(robot, Transporter(get_transporter("single_board", robot)))
 
 
 def test_a_missing_mesh_is_named(folder):
@@ -145,7 +145,7 @@ def test_an_undriven_joint_is_named(folder):
 
 
 def test_addresses_follow_names_whatever_order_the_file_has(folder):
-    scene = build_scene(read_robot(folder / "mine.toml"), get_transporter("single_board", GO1))
+    scene = build_scene(read_robot(folder / "mine.toml"), Transporter(get_transporter("single_board", GO1)))
     driven = [scene.model.joint(int(scene.model.actuator_trnid[a, 0])).name for a in scene.layout.actuators]
     assert driven == list(GO1.joints)
     np.testing.assert_allclose(scene.model.key_ctrl[0][scene.layout.actuators], GO1.q0)

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from torchrl_atr.envs.models import LEGS, ROBOTS, build_scene, get_transporter, load_robot
+from torchrl_atr.envs.models import LEGS, ROBOTS, Transporter, build_scene, get_transporter, load_robot
 
 FACTS: dict[str, dict[str, Any]] = json.loads((Path(__file__).parent / "robot_facts.json").read_text())
 """By robot: Table IV's total mass; links (of the public model, the trunk scaled to that total) in frames parallel to
@@ -30,7 +30,7 @@ def facts(robot):
 
 @pytest.fixture(scope="module")
 def scene(robot):
-    return build_scene(robot, get_transporter("single_board", robot))
+    return build_scene(robot, Transporter(get_transporter("single_board", robot)))
 
 
 def test_every_robot_we_ship_has_facts():
@@ -107,10 +107,10 @@ def test_each_target_moves_its_own_joint_and_foot(robot, scene, stand):
 
 def test_robot_settles_near_its_desired_height(robot):
     """q0 held by the PD controllers on a deck that cannot tilt."""
-    scene = build_scene(robot, get_transporter("single_board", robot))
+    scene = build_scene(robot, Transporter(get_transporter("single_board", robot)))
     model = scene.model
-    model.jnt_stiffness[scene.layout.tilt_joints] = 1e6
-    model.dof_damping[scene.layout.tilt_dof] = 1e4
+    model.jnt_stiffness[scene.support_layout.tilt_joints] = 1e6
+    model.dof_damping[scene.support_layout.tilt_dof] = 1e4
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_step(model, data, 600)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
+import torch
 
-from torchrl_atr.envs.models import TRANSPORTERS, RobotSpec, Scene, build_scene
-from torchrl_atr.envs.physics import PhysicalParameters
+from torchrl_atr.envs.models import TRANSPORTERS, RobotSpec, Scene, Transporter, build_scene
+from torchrl_atr.envs.physics import ModelFields
 from torchrl_atr.envs.physics.batch import BatchEngine
-from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.tasks.parameters import friction as set_friction
+from torchrl_atr.envs.tasks.riding.drive_law import DriveHook
 
 MASS = 12.0
 CENTRE = 0.05
@@ -56,7 +57,7 @@ def block_scene(tmp_path: Path, request: pytest.FixtureRequest) -> Scene:
         min_height=0.0,
         group="G1",
     )
-    return build_scene(robot, TRANSPORTERS.get(getattr(request, "param", "single_board_g1")))
+    return build_scene(robot, Transporter(TRANSPORTERS.get(getattr(request, "param", "single_board_g1"))))
 
 
 BlockEngine = Callable[..., BatchEngine]
@@ -70,24 +71,19 @@ def block_engine(block_scene: Scene) -> BlockEngine:
     """
 
     def make(xy: tuple[float, float] = (0.0, 0.0), friction: float = 1.0, level: bool = False) -> BatchEngine:
-        model, layout, deck = block_scene.model, block_scene.layout, block_scene.transporter
+        model, layout, support = block_scene.model, block_scene.layout, block_scene.support_layout
         if level:
-            model.dof_armature[layout.tilt_dof] = 1e3
-        engine = BatchEngine(block_scene, 1, Readings(), num_threads=1)
-        qpos = model.key_qpos[:1].copy()
-        qpos[0, layout.root_qpos : layout.root_qpos + 2] = xy
-        stiffness, damping = ((1e5, 1e5), (2e4, 2e4)) if level else deck.springs(Readings())
-        parameters = PhysicalParameters(
-            payload=np.zeros(1),
-            com_shift=np.zeros((1, 3)),
-            kp=np.zeros((1, 0)),
-            kd=np.zeros((1, 0)),
-            platform_mass=np.array([deck.mass]),
-            friction=np.array([friction]),
-            sb_stiffness=np.array([stiffness]),
-            sb_damping=np.array([damping]),
-        )
-        engine.reset(np.arange(1), qpos, np.zeros((1, model.nv)), parameters)
+            model.dof_armature[support.tilt_dof] = 1e3
+            model.jnt_stiffness[support.tilt_joints], model.dof_damping[support.tilt_dof] = 1e5, 2e4
+        engine = BatchEngine(block_scene, 1, DriveHook, num_threads=1)
+        qpos = torch.tensor(model.key_qpos[:1])
+        qpos[0, layout.root_qpos : layout.root_qpos + 2] = torch.tensor(xy)
+        rows = torch.arange(1)
+
+        def write(fields: ModelFields) -> None:
+            set_friction(fields, rows, torch.full((1, 1), friction, dtype=torch.float64), block_scene)
+
+        engine.reset(rows, qpos, torch.zeros(1, model.nv, dtype=torch.float64), write)
         return engine
 
     return make

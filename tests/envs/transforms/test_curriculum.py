@@ -11,7 +11,7 @@ from torchrl.envs.utils import RandomPolicy
 from toy import ToyEnv
 
 from torchrl_atr.envs import make_riding_env
-from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, riding_transforms
+from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, task_transforms
 
 CENTRE = (75, 10)
 
@@ -47,7 +47,7 @@ def check_timing(data, window, batch):
 def test_timing(batch):
     lifetime = torch.tensor([7, 0, 10, 3, 9, 8])[: max(1, torch.Size(batch).numel())].reshape(batch)
     env = TransformedEnv(
-        ToyEnv(batch, lifetime=lifetime), riding_transforms((1.0, 1.0), history_length=3, window=5, seed=0)
+        ToyEnv(batch, lifetime=lifetime), task_transforms((1.0, 1.0), history_length=3, window=5, seed=0)
     )
     check_timing(env.rollout(40, break_when_any_done=False), 5, batch)
 
@@ -59,7 +59,7 @@ def test_timing_behind_serial_env(order, batch):
         return ToyEnv(batch, lifetime=life)
 
     def stack(seed):
-        return riding_transforms((1.0, 1.0), history_length=3, window=5, seed=seed)
+        return task_transforms((1.0, 1.0), history_length=3, window=5, seed=seed)
 
     if order == "transformed serial":
         env = TransformedEnv(SerialEnv(2, [lambda: toy(7), lambda: toy(0)]), stack(0))
@@ -153,7 +153,7 @@ def test_early_termination_fails(lifetime):
 
 
 def test_a_window_that_ends_with_the_time_limit_counts():
-    env = TransformedEnv(ToyEnv((4,)), riding_transforms((1.0, 1.0), history_length=2, max_steps=5, window=5, seed=0))
+    env = TransformedEnv(ToyEnv((4,)), task_transforms((1.0, 1.0), history_length=2, max_steps=5, window=5, seed=0))
     data = env.rollout(5, break_when_any_done=False)
     assert data["next", "truncated"][:, -1].all()
     assert env.transform[0].weights.sum() > 15
@@ -209,6 +209,7 @@ def test_a_moving_start_is_not_scored():
     env = make_riding_env(num_envs=64, num_threads=1, seed=0, moving_start=0.5, window=3, max_steps=6)
     td = env.reset()
     moving, rows = td["speeds"].ne(0).any(-1), env.transform[0].rows
+    assert torch.equal(td["moving_start"].squeeze(-1), moving)
     assert 10 < int(moving.sum()) < 54
     assert torch.equal(rows.cells < 0, moving)
     for _ in range(3):
@@ -304,7 +305,7 @@ def test_merge_commutes():
 
 
 def test_collectors_map_fn_reaches_the_weights():
-    env = TransformedEnv(ToyEnv((4,)), riding_transforms((1.0, 1.0), history_length=2, window=5, seed=0))
+    env = TransformedEnv(ToyEnv((4,)), task_transforms((1.0, 1.0), history_length=2, window=5, seed=0))
     collector = Collector(
         env,
         RandomPolicy(env.action_spec),

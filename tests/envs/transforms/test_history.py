@@ -8,7 +8,7 @@ from tensordict import TensorDict
 from torchrl.envs import SerialEnv, TransformedEnv
 from toy import ToyEnv
 
-from torchrl_atr.envs.transforms import ObservationHistory, riding_transforms
+from torchrl_atr.envs.transforms import ObservationHistory, task_transforms
 
 H = 3
 
@@ -85,7 +85,7 @@ def test_partial_reset_leaves_the_other_rows():
 def test_holds_the_command_that_was_in_force():
     env = TransformedEnv(
         ToyEnv((4,), lifetime=torch.tensor([0, 0, 8, 5])),
-        riding_transforms((1.0, 1.0), history_length=H, window=4, max_steps=11, seed=0),
+        task_transforms((1.0, 1.0), history_length=H, window=4, max_steps=11, seed=0),
     )
     data = env.rollout(30, break_when_any_done=False)
     check(data)

@@ -7,7 +7,7 @@ from torchrl.envs import SerialEnv
 from torchrl.envs.utils import check_env_specs
 
 from torchrl_atr.envs import make_riding_env
-from torchrl_atr.envs.task.rewards import RIDING_REWARDS
+from torchrl_atr.envs.tasks import RIDING_REWARDS
 from torchrl_atr.envs.transforms import StoredOnce
 
 

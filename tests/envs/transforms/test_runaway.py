@@ -31,7 +31,7 @@ def test_only_rows_beyond_the_frontier_and_the_margin_end():
 def test_in_the_stack_a_runaway_ends_its_own_episode():
     env = make_riding_env(num_envs=3, num_threads=1, seed=0, runaway_margin=(2.0, 2.0))
     td = env.reset()
-    env.base_env.engine.speeds[1, 0] = 4.0
+    env.base_env.engine.hook.speeds[1, 0] = 4.0
     td["action"] = torch.zeros(env.action_spec.shape)
     after, carried = env.step_and_maybe_reset(td)
     assert after["next", "terminated"].squeeze(-1).tolist() == [False, True, False]

@@ -12,7 +12,7 @@ from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 from torchrl.envs import Compose, ParallelEnv, SerialEnv, TransformedEnv, check_env_specs
 from toy import ToyEnv
 
-from torchrl_atr.envs.transforms import CommandCurriculum, ObservationHistory, riding_transforms
+from torchrl_atr.envs.transforms import CommandCurriculum, ObservationHistory, task_transforms
 
 LIFE = torch.tensor([1, 2, 0])
 
@@ -26,7 +26,7 @@ def history():
 
 
 def stack():
-    return riding_transforms((1.0, 1.0), history_length=3, max_steps=2, window=2)
+    return task_transforms((1.0, 1.0), history_length=3, max_steps=2, window=2)
 
 
 def toy(batch=(3,)):

@@ -19,8 +19,8 @@ def floor_period(model: mujoco.MjModel) -> float:
     """Return the length after which the floor looks the same again, m.
 
     Example:
-        >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
-        >>> floor_period(build_scene(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1")).model)
+        >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene
+        >>> floor_period(build_scene(ROBOTS.get("a1"), FlatGround()).model)
         4.0
     """
     materials = [model.geom_matid[plane] for plane in floor_planes(model) if model.geom_matid[plane] >= 0]

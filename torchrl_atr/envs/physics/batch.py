@@ -9,6 +9,7 @@ from typing import Any
 import mujoco
 import mujoco.batch
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -53,6 +54,8 @@ class BatchEngine(Engine):
     ) -> None:
         self._num_threads = check_whole("num_threads", num_threads, low=1, optional=True)
         super().__init__(scene, num_envs, make_hook)
+        stand = scene.model.key(STAND)
+        self._restart(torch.arange(num_envs), torch.from_numpy(stand.qpos), torch.from_numpy(stand.qvel))
 
     def _make(self) -> None:
         model = self.scene.model

@@ -64,13 +64,21 @@ def check(terms: Mapping[str, MemoryTerm], context: StepContext) -> None:
     for name, term in terms.items():
         if not isinstance(term, MemoryTerm):
             raise MemoryTermError(f"the memory term {name!r} is {term!r}; give a MemoryTerm")
-    begun = started(terms, context)
+    begun = {name: _try(started, name, term, context)[name] for name, term in terms.items()}
     context.memory = begun
-    for values in (begun, updated(terms, context)):
-        for name, value in values.items():
-            needed = (len(context.command), terms[name].size)
-            shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
-            if shape != needed or value.dtype != torch.float32:
-                raise MemoryTermError(
-                    f"the memory term {name!r} returned {shape}; it must return float32 of shape {needed}"
-                )
+    for name, term in terms.items():
+        _try(updated, name, term, context)
+
+
+def _try(
+    values_of: Callable[..., dict[str, Tensor]], name: str, term: MemoryTerm, context: StepContext
+) -> dict[str, Tensor]:
+    try:
+        values = values_of({name: term}, context)
+    except Exception as error:  # of the user's function
+        raise MemoryTermError(f"the memory term {name!r} failed: {type(error).__name__}: {error}") from error
+    value, needed = values[name], (len(context.command), term.size)
+    shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+    if shape != needed or value.dtype != torch.float32:
+        raise MemoryTermError(f"the memory term {name!r} returned {shape}; it must return float32 of shape {needed}")
+    return values

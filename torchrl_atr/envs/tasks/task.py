@@ -104,6 +104,9 @@ class Task:
     arguments: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for each in dataclasses.fields(self):
+            if isinstance(value := getattr(self, each.name), Mapping):  # read-only views cannot be pickled or copied
+                object.__setattr__(self, each.name, dict(value))
         if "proprio" not in self.observations:
             raise InputError(f"task {self.name!r}: observations lack 'proprio'; give its terms")
         if unknown := set(self.reward_schedule) - set(self.rewards):

@@ -41,6 +41,11 @@ def speeds(c: StepContext) -> Tensor:
     return c.state.speeds
 
 
+def odometry(c: StepContext) -> Tensor:
+    """v_B by dead reckoning, body frame, m/s, (N, 3)."""
+    return c.memory["odometry"]
+
+
 EXTRINSIC: Group = {
     "contacts": ObservationTerm(contacts, mirrors.legs, "contact", LEG_NAMES, "1"),
     "body_velocity": ObservationTerm(body_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
@@ -66,7 +71,7 @@ def observations(readings: Readings) -> Mapping[NestedKey, Group]:
     return {
         "proprio": PROPRIO,
         "speeds": {"speeds": ObservationTerm(speeds, mirrors.FORWARD_YAW)},
-        "odometry": {"odometry": ObservationTerm(lambda c: c.memory["odometry"], mirrors.POLAR, unit="m/s")},
+        "odometry": {"odometry": ObservationTerm(odometry, mirrors.POLAR, parts="xyz", unit="m/s")},
         ("privileged", "extrinsic"): extrinsic(readings),
         ("privileged", "outlook"): {"outlook": ObservationTerm(tracking_forecast, FORECAST_MIRROR)},
     }

@@ -1,4 +1,4 @@
-"""The critic's outlook: the law's accelerations, and what tracking would be if they lasted."""
+"""What the critic sees besides: the law's accelerations, and what tracking would be if they lasted."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 
 import torch
 
+from torchrl_atr.envs.models.scene import TIMESTEP
 from torchrl_atr.envs.riding import RidingEnv
 
 
@@ -16,9 +17,9 @@ def test_driven_acceleration_is_what_the_law_does_next():
         td["action"] = torch.full(env.action_spec.shape, 0.5)
         td = env.step(td)["next"]
     told = td["privileged", "outlook"][:, 2:4]
-    before = env.engine.speeds.copy()
-    env.engine.prescribe()
-    torch.testing.assert_close(told, torch.tensor((env.engine.speeds - before) / 0.005, dtype=torch.float32))
+    before = env.engine.hook.speeds.clone()
+    env.engine.hook.apply(TIMESTEP)
+    torch.testing.assert_close(told, ((env.engine.hook.speeds - before) / TIMESTEP).float())
     assert told.abs().amin() > 1e-4
 
 
@@ -26,7 +27,7 @@ def test_outlook_by_hand():
     env = RidingEnv(num_envs=1, num_threads=1, seed=0, pushes=False)
     td = env.reset()
     td["action"], td["command"] = torch.zeros(env.action_spec.shape), torch.tensor([[0.5, -1.0]])
-    env.engine.speeds[:] = [[1.0, 0.2]]
+    env.engine.hook.speeds[:] = torch.tensor([[1.0, 0.2]])
     values = env.step(td)["next", "privileged", "outlook"][0]
     acceleration, error, kernels = values[2:4], values[4:6], values[6:].reshape(4, 2)
     assert abs(float(error[0]) - 0.5) < 0.02

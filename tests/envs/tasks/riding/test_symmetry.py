@@ -13,18 +13,17 @@ from tensordict import TensorDict
 from torchrl_atr.envs import ROBOTS, RidingEnv
 from torchrl_atr.envs.models import DESIGNS, TRANSPORTERS, RobotError
 from torchrl_atr.envs.models.transporter import TWO_BOARD, TransporterError
-from torchrl_atr.envs.task.randomization import INTRINSICS, intrinsic_slices
 
 PAIRS = [(robot, transporter) for robot in ("a1", "go1", "anymal_c", "spot") for transporter in DESIGNS]
 
 
 def mirrored_simulation(env: RidingEnv, state: TensorDict) -> TensorDict:
     """The same robots in a mirror: by hand, in MuJoCo's own coordinates."""
-    layout, out = env.scene.layout, state.clone()
+    layout, support, out = env.scene.layout, env.scene.support_layout, state.clone()
     joints = env.reflections["action"].double()
     roll = torch.tensor(
         [[0.0, 1.0], [1.0, 0.0]]
-        if "right" in env.scene.transporter.design.hinges[0].name
+        if "right" in env.scene.support.spec.design.hinges[0].name
         else [[1.0, 0.0], [0.0, -1.0]]
     ).double()
     qpos, qvel = state["qpos"].clone(), state["qvel"].clone()
@@ -33,8 +32,8 @@ def mirrored_simulation(env: RidingEnv, state: TensorDict) -> TensorDict:
     qpos[:, [root + 4, root + 6]] *= -1  # of the quaternion w, x, y, z: rotations about x and z
     qvel[:, [dof + 1, dof + 3, dof + 5]] *= -1
     for values, legs, planar, tilt in (
-        (qpos, layout.joint_qpos, layout.planar_qpos, layout.tilt_qpos),
-        (qvel, layout.joint_dof, layout.planar_dof, layout.tilt_dof),
+        (qpos, layout.joint_qpos, support.planar_qpos, support.tilt_qpos),
+        (qvel, layout.joint_dof, support.planar_dof, support.tilt_dof),
     ):
         values[:, legs] = values[:, legs] @ joints.T
         values[:, planar[1:]] *= -1  # sideways, yaw
@@ -43,9 +42,9 @@ def mirrored_simulation(env: RidingEnv, state: TensorDict) -> TensorDict:
     out["speeds"][:, 1] *= -1
     out["warmstart"] = torch.zeros_like(state["warmstart"])
     out["x_int"] = state["x_int"] @ env.reflections["privileged", "intrinsic"].T
-    shift = intrinsic_slices(12)["com_shift"].start + 1
+    shift = env.runner.intrinsics.slices["com_shift"].start + 1
     sideways = env.model.body_ipos[env.scene.layout.trunk_body, 1]  # 4 mm of A1's, a fact of the robot
-    out["x_int"][:, shift] -= 2 * sideways / INTRINSICS["com_shift"].train[1]
+    out["x_int"][:, shift] -= 2 * sideways / env.task.intrinsics["com_shift"].train[1]
     return out
 
 

@@ -8,17 +8,18 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchrl_atr.envs.models import ROBOTS
+from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, Scene, Transporter, build_scene
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.task.rewards import RewardContext
-from torchrl_atr.envs.task.rotations import matrix_from_euler
-from torchrl_atr.envs.task.state import RidingState
+from torchrl_atr.envs.tasks import StepContext
+from torchrl_atr.envs.tasks.riding.state import RidingState
+from torchrl_atr.envs.tasks.rotations import matrix_from_euler
 
 A1 = ROBOTS.get("a1")
 SQUARE = [[0.2, -0.1], [-0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]
 """Feet FR, RR, FL, RL, m."""
 
 StateMaker = Callable[..., RidingState]
+ContextMaker = Callable[..., StepContext]
 
 
 def _state(**given: object) -> RidingState:
@@ -53,8 +54,14 @@ def make_state() -> StateMaker:
     return _state
 
 
+@pytest.fixture(scope="session")
+def scene() -> Scene:
+    """A1 on the single board of its size."""
+    return build_scene(A1, Transporter(TRANSPORTERS.get("single_board_g1")))
+
+
 @pytest.fixture
-def make_context() -> Callable[..., RewardContext]:
+def make_context(scene: Scene) -> ContextMaker:
     """``make_context(command=, action=, previous_action=, terminated=, readings=, **state)``, one robot."""
 
     def make(
@@ -64,18 +71,17 @@ def make_context() -> Callable[..., RewardContext]:
         terminated: bool = False,
         readings: Readings | None = None,
         **state: object,
-    ) -> RewardContext:
+    ) -> StepContext:
         def row(value: object) -> Tensor:
             return torch.zeros(1, 12) if value is None else torch.as_tensor(value, dtype=torch.float32).reshape(1, 12)
 
-        return RewardContext(
+        return StepContext(
             state=_state(**state),
             command=torch.tensor([command]),
             action=row(action),
             previous_action=row(previous_action),
             terminated=torch.tensor([terminated]),
-            robot=A1,
-            deck_thickness=0.05,
+            scene=scene,
             readings=readings or Readings(),
         )
 

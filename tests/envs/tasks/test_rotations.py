@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import torch
 
-from torchrl_atr.envs.task.rotations import (
+from torchrl_atr.envs.tasks.rotations import (
     euler_from_matrix,
     matrix_from_euler,
     matrix_from_quaternion,

@@ -6,13 +6,33 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
-from torchrl_atr.envs.profiles import Readings, get_readings
+from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.envs.profiles import get_readings
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.task.observations import EXTRINSIC, PROPRIO, body_acceleration
-from torchrl_atr.envs.task.state import CONTROL_DT
+from torchrl_atr.envs.tasks.proprioception import body_acceleration
 
 N = 3
+SIZES = {
+    "proprio": {
+        "acceleration": 3,
+        "angular_velocity": 3,
+        "orientation": 2,
+        "joint_position": 12,
+        "joint_velocity": 12,
+        "action": 12,
+    },
+    "extrinsic": {
+        "contacts": 4,
+        "body_velocity": 3,
+        "platform_velocity": 3,
+        "platform_angular_velocity": 3,
+        "relative_position": 2,
+        "relative_yaw": 1,
+    },
+}
+"""Table I's components in their order."""
 
 
 class Ridden:
@@ -20,10 +40,10 @@ class Ridden:
 
     def __init__(self) -> None:
         self.env = RidingEnv(num_envs=N, seed=0, num_threads=1, pushes=False)
-        self.env.engine.speeds[:] = [[1.0, 0.8], [-2.0, 0.5], [0.5, -1.0]]
+        self.env.engine.hook.speeds[:] = torch.tensor([[1.0, 0.8], [-2.0, 0.5], [0.5, -1.0]])
         generator = torch.Generator().manual_seed(0)
         td, self.actions = self.env.reset(), []
-        self.env.engine.speeds[:] = [[1.0, 0.8], [-2.0, 0.5], [0.5, -1.0]]
+        self.env.engine.hook.speeds[:] = torch.tensor([[1.0, 0.8], [-2.0, 0.5], [0.5, -1.0]])
         for _ in range(25):
             self.before = [self.data(i) for i in range(N)]
             td["action"] = 0.3 * torch.randn(N, 12, generator=generator)
@@ -48,22 +68,11 @@ class Ridden:
 
     def part(self, group: str, name: str) -> np.ndarray:
         """A named component of the emitted observation, (N, size)."""
-        sizes = (
-            {
-                "acceleration": 3,
-                "angular_velocity": 3,
-                "orientation": 2,
-                "joint_position": 12,
-                "joint_velocity": 12,
-            }
-            if group == "proprio"
-            else dict(zip(EXTRINSIC, (4, 3, 3, 3, 2, 1)))
-        )
-        table = PROPRIO if group == "proprio" else EXTRINSIC
-        assert list(sizes) == list(table)
-        start = sum(size for other, size in sizes.items() if list(sizes).index(other) < list(sizes).index(name))
-        values = self.td["proprio"] if group == "proprio" else self.td["privileged", "extrinsic"]
-        return values[:, start : start + sizes[name]].numpy()
+        key = "proprio" if group == "proprio" else ("privileged", "extrinsic")
+        sizes = self.env.runner.terms.observations.sizes[key]
+        assert list(sizes.items()) == list(SIZES[group].items())
+        start = sum(list(sizes.values())[: list(sizes).index(name)])
+        return self.td[key][:, start : start + sizes[name]].numpy()
 
 
 @pytest.fixture(scope="module")
@@ -86,9 +95,9 @@ def test_sizes_and_composition(ridden):
 
 
 def test_the_situation_is_a_general_one(ridden):
-    layout = ridden.env.scene.layout
-    assert np.abs(ridden.env.engine.qpos[:, layout.planar_qpos[2]]).min() > 0.1
-    assert np.abs(ridden.env.engine.qpos[:, layout.tilt_qpos]).max() > 0.01
+    support = ridden.env.scene.support_layout
+    assert ridden.env.engine.qpos[:, support.planar_qpos[2]].abs().min() > 0.1
+    assert ridden.env.engine.qpos[:, support.tilt_qpos].abs().max() > 0.01
 
 
 def test_joints_are_in_the_order_of_the_spec(ridden):
@@ -140,14 +149,14 @@ def test_relative_pose_is_in_the_platform_frame(ridden):
 def test_contacts_and_forces_are_those_on_the_feet():
     env = RidingEnv(num_envs=1, seed=0, num_threads=1, pushes=False, randomization="off")
     for _ in range(60):
-        env.engine.step(np.array([env.scene.robot.q0]))
+        env.engine.step(torch.tensor([env.scene.robot.q0]))
     q0 = env.scene.model.key_qpos[0]
-    env.engine.qpos[0] = q0
+    env.engine.qpos[0] = torch.from_numpy(q0)
     env.engine.qpos[0, env.scene.layout.root_qpos + 2] -= 1e-3
     env.engine.qpos[0, env.scene.layout.joint_qpos[4]] += 0.3  # the rear right thigh lifts its foot
     env.engine.qvel[:] = 0.0
     env.engine.forward()
-    state = env.task._reader.read()
+    state = env.runner.terms.reader.read()
     assert state.contacts.tolist() == [[1, 0, 1, 1]]
     assert (state.foot_force[0, [0, 2, 3], 2] > 1.0).all()  # up, on the feet
     assert state.other_force.norm() < 1e-4
@@ -158,10 +167,12 @@ def test_contacts_and_forces_are_those_on_the_feet():
     np.testing.assert_allclose(state.com[0], data.subtree_com[env.scene.layout.trunk_body], atol=1e-6)
 
 
-def test_an_imu_also_feels_gravity(make_state):
-    state = make_state(euler=[0.0, 0.5, 1.0], acceleration=[0.0, 0.0, 0.0])
-    assert body_acceleration(state, Readings()).abs().max() == 0.0
-    felt = body_acceleration(state, get_readings("ancestor"))[0]
+def test_an_imu_also_feels_gravity(make_context):
+    def felt_in(profile: str) -> Tensor:
+        return body_acceleration(make_context(euler=[0.0, 0.5, 1.0], readings=get_readings(profile)))[0]
+
+    assert felt_in("default").abs().max() == 0.0
+    felt = felt_in("ancestor")
     # pitched nose down by 0.5: the upward reaction has a component against the nose
     np.testing.assert_allclose(felt, [-9.81 * np.sin(0.5), 0.0, 9.81 * np.cos(0.5)], atol=1e-5)
 

@@ -10,14 +10,13 @@ import torch
 from tensordict import TensorDict
 
 from torchrl_atr.envs import RidingEnv
-from torchrl_atr.envs.task.state import _wrapped
 
 
 def turned(env: RidingEnv, heading: float, turns: int) -> None:
     """Turns board and robot to ``heading``, and the board's joint by whole turns more."""
-    layout, state = env.scene.layout, env.get_state()
+    layout, support, state = env.scene.layout, env.scene.support_layout, env.get_state()
     qpos, root = state["qpos"], layout.root_qpos
-    qpos[:, layout.planar_qpos[2]] = heading + turns * math.tau
+    qpos[:, support.planar_qpos[2]] = heading + turns * math.tau
     c, s = math.cos(heading / 2), math.sin(heading / 2)
     w, x, y, z = qpos[:, root + 3 : root + 7].clone().unbind(-1)
     qpos[:, root + 3 : root + 7] = torch.stack([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w], -1)
@@ -32,7 +31,7 @@ def test_whole_turns_do_not_show(physics, num_envs, heading):
         env = RidingEnv(num_envs=num_envs, physics=physics, seed=0, num_threads=1, pushes=False)
         turned(env, heading, turns)
         env.set_state(env.get_state().exclude("emitted"))
-        steps = [TensorDict(env.task.observe(torch.zeros(num_envs, 2)), [num_envs])]
+        steps = [TensorDict(env.runner.observe(torch.zeros(num_envs, 2)), [num_envs])]
         generator = torch.Generator().manual_seed(0)
         for _ in range(10):
             action = 0.3 * torch.randn(num_envs, 12, generator=generator)
@@ -52,16 +51,20 @@ def test_whole_turns_do_not_show_in_the_suite():
     for turns in (0, 100_000):
         environment = suite.load(random=0, pushes=False)
         environment.reset()
-        layout = environment.task.core.scene.layout
-        environment.physics.data.qpos[layout.planar_qpos[2]] += turns * math.tau
+        support = environment.task.runner.scene.support_layout
+        environment.physics.data.qpos[support.planar_qpos[2]] += turns * math.tau
         seen.append(environment.step(np.zeros(12)).observation)
     for name, value in seen[0].items():
         np.testing.assert_allclose(seen[1][name], value, atol=2e-4, err_msg=name)
 
 
-def test_within_a_turn_headings_keep_every_bit():
-    angles = np.linspace(-math.pi, math.pi, 1001)
-    np.testing.assert_array_equal(_wrapped(angles), angles)
-    far = 1e5 * math.tau + angles
-    np.testing.assert_allclose(np.sin(_wrapped(far)), np.sin(angles), atol=1e-9)
-    assert np.abs(_wrapped(far)).max() <= math.pi + 1e-9
+def test_within_a_turn_headings_keep_every_bit_of_float32():
+    env = RidingEnv(num_envs=1001, seed=0, num_threads=1)
+    reader, column = env.runner.terms.reader, env.scene.support_layout.planar_qpos[2]
+    angles = torch.linspace(-math.pi, math.pi, 1001, dtype=torch.float64)
+    env.engine.qpos[:, column] = angles
+    assert torch.equal(reader.gather()["qpos"][:, column], angles.float())
+    env.engine.qpos[:, column] = 1e5 * math.tau + angles
+    far = reader.gather()["qpos"][:, column].double()
+    torch.testing.assert_close(far.sin(), angles.sin(), atol=1e-6, rtol=0)
+    assert far.abs().max() <= math.pi + 1e-6

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from torchrl_atr.envs.models import TRANSPORTERS
-from torchrl_atr.envs.physics import DriveLaw
-from torchrl_atr.envs.physics.law import drive, resistance
+from torchrl_atr.envs.models.drives import tilt_drive
 from torchrl_atr.envs.profiles import Readings, get_readings
+from torchrl_atr.envs.tasks.riding.drive_law import DriveLaw, resistance
 
 DECK = TRANSPORTERS.get("single_board_g1")
 DT = 0.005
@@ -19,12 +20,22 @@ def law(**readings: object) -> DriveLaw:
     return DriveLaw(DECK, get_readings("default", **{"coulomb_smoothing": 0.0, **readings}))
 
 
+def doubles(values) -> torch.Tensor:
+    return torch.as_tensor(values, dtype=torch.float64)
+
+
+def drive(tilt, readings: Readings) -> torch.Tensor:
+    """Propulsion of the board at rest at these (pitch, roll)."""
+    tilt = doubles(tilt)
+    return tilt_drive(tilt, torch.zeros_like(tilt), DECK, readings)
+
+
 def run(model: DriveLaw, tilt: tuple[float, float], speeds: tuple[float, float], steps: int, dt: float = DT):
     """Speeds after ``steps`` at a fixed (pitch, roll)."""
-    now, scale = np.array([speeds]), model.mass_scale(np.array([DECK.mass]))
+    now, scale = doubles([speeds]), model.mass_scale(doubles([DECK.mass]))
     for _ in range(steps):
-        now = model(now, np.array([tilt]), scale, dt)
-    return now[0]
+        now = model(now, doubles([tilt]), scale, dt)
+    return now[0].numpy()
 
 
 def steady(push: float, smoothing: float = 0.0) -> float:
@@ -54,7 +65,7 @@ def test_steady_yaw_rate_has_the_sign_of_eq_3(pitch, roll):
 
 def test_drive_peaks_at_twelve_and_three_and_saturates():
     for tilt in (0.78, 1.2):
-        forward, yaw = drive(np.array([[tilt, -tilt]]), DECK, Readings()).T
+        forward, yaw = drive([[tilt, -tilt]], Readings()).T
         assert (forward[0], yaw[0]) == pytest.approx((12.0, 3.0))
 
 
@@ -65,7 +76,7 @@ def test_from_rest_the_net_peaks_are_eleven_point_eight_and_two_point_eight():
 @pytest.mark.parametrize("angle", [0.3, -0.1, 1.0])
 def test_two_boards_at_one_angle_drive_like_a_single_board_at_that_pitch(angle):
     two = DriveLaw(TRANSPORTERS.get("two_board_g1"), get_readings("default", coulomb_smoothing=0.0))
-    np.testing.assert_allclose(two.mass_scale(np.array([11.0])), law().mass_scale(np.array([11.0])))
+    np.testing.assert_allclose(two.mass_scale(doubles([11.0])), law().mass_scale(doubles([11.0])))
     np.testing.assert_allclose(
         run(two, (angle, angle), (0.4, -0.2), 3), run(law(), (angle, 0.0), (0.4, -0.2), 3), rtol=1e-12
     )
@@ -79,20 +90,20 @@ def test_two_boards_steer_by_half_their_difference():
 
 
 def test_sign_of_zero_pitch_is_one():
-    assert drive(np.array([[0.0, -0.78]]), DECK, Readings())[0, 1] == pytest.approx(3.0)
+    assert drive([[0.0, -0.78]], Readings())[0, 1].item() == pytest.approx(3.0)
 
 
 def test_mirrored_tilts_and_speeds_mirror_the_motion():
     rng = np.random.default_rng(0)
-    tilt, speeds = rng.uniform(-0.9, 0.9, (200, 2)), rng.uniform(-5.0, 5.0, (200, 2))
+    tilt, speeds = doubles(rng.uniform(-0.9, 0.9, (200, 2))), doubles(rng.uniform(-5.0, 5.0, (200, 2)))
     for model in (law(), law(coulomb_smoothing=0.5, steering_smoothing=0.05)):
-        scale = model.mass_scale(np.full(200, DECK.mass))
+        scale = model.mass_scale(doubles([DECK.mass] * 200))
         forward = model(speeds, tilt, scale, DT)
-        np.testing.assert_allclose(model(-speeds, tilt * [-1, 1], scale, DT), -forward, atol=1e-12)
+        np.testing.assert_allclose(model(-speeds, tilt * doubles([-1, 1]), scale, DT), -forward, atol=1e-12)
 
 
 def test_resistance_is_odd_by_default_and_even_as_printed():
-    x = np.linspace(0.1, 15.0, 40)
+    x = torch.linspace(0.1, 15.0, 40, dtype=torch.float64)
     odd, literal = Readings(coulomb_smoothing=0.0), get_readings("literal")
     np.testing.assert_allclose(resistance(x, DECK.resistance, odd), 0.2 + 0.05 * x + 0.005 * x * x)
     np.testing.assert_allclose(resistance(-x, DECK.resistance, odd), -resistance(x, DECK.resistance, odd))
@@ -123,18 +134,18 @@ def test_stiction_holds_the_deck_below_its_threshold_and_lets_go_above():
 
 def test_smoothed_coulomb_term_grows_from_zero():
     readings = Readings(coulomb_smoothing=0.5)
-    assert resistance(np.zeros(1), DECK.resistance, readings)[0] == 0.0
+    assert resistance(torch.zeros(1), DECK.resistance, readings)[0] == 0.0
     expected = np.tanh(1.0 / 0.5) * 0.255
-    assert resistance(np.ones(1), DECK.resistance, readings)[0] == pytest.approx(expected)
+    assert resistance(torch.ones(1), DECK.resistance, readings).item() == pytest.approx(expected)
 
 
 def test_smoothed_steering_sign_vanishes_at_zero_pitch():
-    yaw = drive(np.array([[0.0, -0.78], [0.05, -0.78]]), DECK, Readings(steering_smoothing=0.05))[:, 1]
-    assert yaw == pytest.approx([0.0, 3.0 * np.tanh(1.0)])
+    yaw = drive([[0.0, -0.78], [0.05, -0.78]], Readings(steering_smoothing=0.05))[:, 1]
+    assert yaw.tolist() == pytest.approx([0.0, 3.0 * np.tanh(1.0)])
 
 
 def test_mass_is_relative_to_nominal_or_printed():
-    masses = np.array([DECK.mass, 2 * DECK.mass])
+    masses = doubles([DECK.mass, 2 * DECK.mass])
     np.testing.assert_allclose(law().mass_scale(masses), [[1.0, 1.0], [0.5, 0.5]])
     printed = DriveLaw(DECK, get_readings("literal")).mass_scale(masses)
     inertia = 11.5 * (0.9**2 + 0.7**2) / 12

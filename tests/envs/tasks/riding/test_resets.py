@@ -1,0 +1,61 @@
+"""Early termination: each limit from both sides (A34)."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from torchrl_atr.envs.profiles import get_readings
+from torchrl_atr.envs.riding import RidingEnv
+from torchrl_atr.envs.tasks import StepContext
+from torchrl_atr.envs.tasks.riding import TERMINATIONS
+
+
+def ended(context: StepContext) -> list[str]:
+    """Return which terminations hold."""
+    return [name for name, termination in TERMINATIONS.items() if termination(context).item()]
+
+
+@pytest.mark.parametrize(
+    ("situation", "ends"),
+    [
+        ({}, []),
+        ({"euler": [0.99, 0.0, 0.0]}, []),
+        ({"euler": [1.01, 0.0, 0.0]}, ["tilted"]),
+        ({"euler": [0.0, -1.01, 0.0]}, ["tilted"]),
+        ({"euler": [0.0, 0.0, 3.0]}, []),
+        ({"position": [0.44, 0.0, 0.455]}, []),
+        ({"position": [0.46, 0.0, 0.455]}, ["off_the_boards"]),
+        ({"position": [0.0, -0.34, 0.455]}, []),
+        ({"position": [0.0, -0.36, 0.455]}, ["off_the_boards"]),
+        # the deck's length lies along y after a quarter turn
+        ({"position": [0.0, 0.40, 0.455], "platform_euler": [0.0, 0.0, math.pi / 2]}, []),
+        ({"position": [0.40, 0.0, 0.455], "platform_euler": [0.0, 0.0, math.pi / 2]}, ["off_the_boards"]),
+        ({"position": [5.2, 0.0, 0.455], "platform_position": [5.0, 0.0, 0.15]}, []),
+        ({"position": [0.0, 0.0, 0.15 + 0.025 + 0.15]}, []),
+        ({"position": [0.0, 0.0, 0.15 + 0.025 + 0.13]}, ["too_low"]),
+    ],
+)
+def test_limits(make_context, situation, ends):
+    assert ended(make_context(**situation)) == ends
+
+
+@pytest.mark.parametrize(("name", "value"), [("root_qpos", math.nan), ("joint_dof", math.inf)])
+def test_a_state_that_is_no_number_ends_the_episode_too(name, value):
+    env = RidingEnv(num_envs=2, num_threads=1, seed=0)
+    runner, layout = env.runner, env.scene.layout
+    readout = runner.terms.reader.gather()
+    column = layout.root_qpos + 1 if name == "root_qpos" else layout.joint_dof[0]
+    readout["qpos" if name == "root_qpos" else "qvel"][1, column] = value
+    idle, still = torch.zeros(2, 12), torch.zeros(2, dtype=torch.bool)
+    before = runner.terms.reader.velocities, idle, idle, runner.memory
+    outcome, *_ = runner.terms.evaluate(readout, *before, torch.zeros(2, 2), runner.x_int, still)
+    assert outcome.terminated.tolist() == [False, True]
+    assert not outcome.finite
+
+
+def test_the_tilt_limit_is_a_reading(make_context):
+    assert ended(make_context(euler=[0.0, 0.9, 0.0])) == []
+    assert ended(make_context(euler=[0.0, 0.9, 0.0], readings=get_readings("ancestor"))) == ["tilted"]

@@ -1,0 +1,158 @@
+"""Observation terms as data: what cannot be used is named before the first step; errors of sensors are as declared."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from torchrl_atr.envs import QuadrupedEnv
+from torchrl_atr.envs.tasks import ObservationError, ObservationTerm, Task, riding
+
+STILL = riding(pushes=False)
+
+
+def height(c) -> Tensor:
+    return c.state.position[:, 2:]
+
+
+def sensed(**errors: float) -> Task:
+    """Riding with a constant 2 observed in proprio, with these errors."""
+    term = ObservationTerm(lambda c: torch.full((len(c.command), 1), 2.0), mirror=(1.0,), **errors)
+    return STILL.with_observation("proprio", two=term)
+
+
+def make(task: Task, num_envs: int = 3, **arguments: object) -> QuadrupedEnv:
+    return QuadrupedEnv(task, num_envs, **{"seed": 0, "num_threads": 1, **arguments})
+
+
+def steps(env: QuadrupedEnv, count: int, key: str = "proprio") -> Tensor:
+    """The last component of an entry, at the reset and after each step, (count + 1, N)."""
+    kept, generator = [env.reset()[key][:, -1]], torch.Generator().manual_seed(0)
+    for _ in range(count):
+        action = 0.05 * torch.randn(env.action_spec.shape, generator=generator)
+        kept.append(env.step(TensorDict({"action": action}, env.batch_size))["next", key][:, -1])
+    return torch.stack(kept)
+
+
+@pytest.mark.parametrize(
+    ("term", "message"),
+    [
+        (lambda c: c.action, "'mine' of 'proprio' is <function"),
+        (ObservationTerm(lambda c: c.action[:, 0]), r"'mine' of 'proprio' returned \(3,\) of torch.float32"),
+        (ObservationTerm(lambda c: c.action[:1]), r"'mine' of 'proprio' returned \(1, 12\) of torch.float32"),
+        (ObservationTerm(lambda c: c.action.double()), r"'mine' of 'proprio' returned \(3, 12\) of torch.float64"),
+        (ObservationTerm(lambda c: c.action > 0), r"'mine' of 'proprio' returned \(3, 12\) of torch.bool"),
+        (ObservationTerm(lambda c: 1.0), "'mine' of 'proprio' returned float"),
+        (ObservationTerm(lambda c: c.state.nose), "'mine' of 'proprio' failed: AttributeError: .*nose"),
+        (ObservationTerm(height, mirror=(1.0, -1.0)), r"'mine' of 'proprio' is of \(2, 2\); the term has 1 components"),
+    ],
+)
+def test_a_term_that_cannot_be_used_is_named_before_the_first_step(term, message):
+    with pytest.raises(ObservationError, match=message):
+        make(STILL.with_observation("proprio", mine=term))
+
+
+@pytest.mark.parametrize(
+    ("mirror", "message"),
+    [
+        (None, "'mine' of 'proprio' has no mirror image; give it mirror=..., or train with symmetric=false"),
+        (lambda scene: torch.eye(5), r"'mine' of 'proprio' is of \(5, 5\); the term has 1 components"),
+    ],
+)
+def test_a_term_without_a_mirror_image_of_its_size_is_named_by_whoever_needs_it(mirror, message):
+    env = make(STILL.with_observation("proprio", mine=ObservationTerm(height, mirror)))
+    env.rollout(1)
+    with pytest.raises(ObservationError, match=message):
+        _ = env.reflections
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"function": 3}, "function=3 of an observation term cannot be called"),
+        ({"noise": -0.1}, "noise=-0.1"),
+        ({"bias": float("nan")}, "bias=nan"),
+        ({"delay": 1.5}, "delay=1.5"),
+    ],
+)
+def test_a_number_out_of_range_is_named_where_it_is_written(arguments, message):
+    with pytest.raises(ObservationError, match=message):
+        ObservationTerm(**{"function": height, **arguments})
+
+
+def test_an_own_term_reaches_specs_data_and_reflections():
+    task = STILL.with_observation("proprio", height=ObservationTerm(height, (1.0,), unit="m"))
+    env = make(task.with_observation("mine", turned=ObservationTerm(lambda c: c.state.euler, (-1.0, 1.0, -1.0))))
+    assert env.observation_spec["proprio"].shape == (3, 45)
+    assert env.observation_spec["observation"].shape == (3, 47)
+    assert env.reflections["proprio"].shape == (45, 45)
+    assert env.reflections["mine"].diagonal().tolist() == [-1.0, 1.0, -1.0]
+    assert env.runner.terms.observations.labels("proprio")[-1] == ("height", "m")
+    after = env.rollout(2)["next"]
+    torch.testing.assert_close(after["proprio"][:, -1, -1], env.engine.qpos[:, env.scene.layout.root_qpos + 2].float())
+    assert after["mine"].shape == (3, 2, 3)
+
+
+def test_noise_has_its_declared_standard_deviation_and_is_drawn_anew_at_every_step():
+    values = steps(make(sensed(noise=0.3), 100), 30) - 2.0
+    assert values.std().item() == pytest.approx(0.3, rel=0.05)
+    assert values.mean().abs() < 0.03
+    correlation = (values[1:] * values[:-1]).mean() / values.var()
+    assert correlation.abs() < 0.06
+
+
+def test_a_bias_stays_for_an_episode_and_differs_between_robots_and_episodes():
+    env = make(sensed(bias=0.3), 400)
+    first = steps(env, 5) - 2.0
+    torch.testing.assert_close(first, first[:1].expand_as(first))
+    assert first[0].std().item() == pytest.approx(0.3, rel=0.15)
+    assert first[0].unique().numel() > 390
+    assert (steps(env, 1)[0] - 2.0 != first[0]).float().mean() > 0.99
+
+
+def test_about_the_declared_share_of_the_episodes_sees_the_step_before():
+    late = ObservationTerm(lambda c: c.state.joint_velocity, delay=0.3)
+    prompt = ObservationTerm(lambda c: c.state.joint_velocity)
+    env = make(STILL.with_observation("late", v=late).with_observation("prompt", v=prompt), 300)
+    td, generator = env.reset(), torch.Generator().manual_seed(0)
+    assert torch.equal(td["late"], td["prompt"])  # nothing came before
+    before, shares = td["prompt"], []
+    for _ in range(5):
+        td = env.step(td.set("action", 0.05 * torch.randn(300, 12, generator=generator)))["next"]
+        delayed = (td["late"] == before).all(-1)
+        assert torch.equal(~delayed, (td["late"] == td["prompt"]).all(-1))
+        before = td["prompt"]
+        shares.append(delayed)
+    assert all(torch.equal(each, shares[0]) for each in shares)  # for the whole episode
+    assert 0.2 < shares[0].float().mean() < 0.4
+
+
+def test_what_is_privileged_and_what_declares_no_error_stays_exact():
+    plain, noisy = make(STILL), make(sensed(noise=0.3, bias=0.2, delay=0.5))
+    noisy.set_state(plain.get_state().update(noisy.runner.sensor_errors.state).exclude("emitted"))
+    action = TensorDict({"action": torch.full((3, 12), 0.1)}, [3])
+    plain.set_state(plain.get_state().exclude("emitted"))
+    ours, theirs = (env.step(action.clone())["next"] for env in (plain, noisy))
+    for key in ours.keys(True, True):
+        if key not in ("proprio", "observation"):
+            assert torch.equal(ours[key], theirs[key]), key
+    assert torch.equal(ours["proprio"], theirs["proprio"][:, :-1])
+    assert torch.equal(theirs["observation"], torch.cat([theirs["proprio"], theirs["command"]], -1))
+
+
+def test_a_restored_state_goes_on_bit_for_bit_with_the_generators_state():
+    task = sensed(noise=0.3, bias=0.2, delay=0.5)
+    env, generator = make(task), torch.Generator().manual_seed(0)
+    env.reset()
+    actions = [TensorDict({"action": 0.1 * torch.randn(3, 12, generator=generator)}, [3]) for _ in range(12)]
+    for action in actions[:6]:
+        env.step(action.clone())
+    state, drawn = env.get_state(), env.rng.get_state()
+    one = torch.stack([env.step(action.clone())["next"] for action in actions[6:]])
+    other = make(task, seed=5)
+    other.set_state(state)
+    other.rng.set_state(drawn)
+    two = torch.stack([other.step(action.clone())["next"] for action in actions[6:]])
+    assert (one == two).all()
