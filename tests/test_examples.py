@@ -22,7 +22,7 @@ def load(name: str):
 
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
 def test_examples_stay_short(path):
-    assert len(path.read_text().splitlines()) < 100
+    assert len(path.read_text().splitlines()) < 150
 
 
 def test_the_raw_loop_trains():

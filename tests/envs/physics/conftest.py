@@ -81,7 +81,7 @@ def block_engine(block_scene: Scene) -> BlockEngine:
         rows = torch.arange(1)
 
         def write(fields: ModelFields) -> None:
-            set_friction(fields, rows, torch.full((1, 1), friction, dtype=torch.float64), block_scene)
+            set_friction(fields, torch.full((1, 1), friction, dtype=torch.float64), block_scene)
 
         engine.reset(rows, qpos, torch.zeros(1, model.nv, dtype=torch.float64), write)
         return engine

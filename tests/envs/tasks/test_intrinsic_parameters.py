@@ -9,9 +9,9 @@ from torchrl_atr.envs import QuadrupedEnv
 from torchrl_atr.envs.tasks import IntrinsicError, IntrinsicParameter, Task, mirrors, riding
 
 
-def friction_loss(fields, rows, value, scene):
+def friction_loss(fields, value, scene):
     """Dry friction of the joints, N m."""
-    fields["dof_frictionloss"][rows[:, None], torch.as_tensor(scene.layout.joint_dof)] = value
+    fields["dof_frictionloss"][:, scene.layout.joint_dof] = value
 
 
 LOSS = IntrinsicParameter(friction_loss, train=(0.0, 0.4), size="joints", mirror=mirrors.joint_gains)
@@ -83,8 +83,8 @@ def test_a_wrong_number_is_named_where_it_is_written(arguments, message):
         IntrinsicParameter(**{"apply": friction_loss, "train": (0.0, 1.0), **arguments})
 
 
-def misspelt(fields, rows, value, scene):
-    fields["body_weight"][rows, 1] = value[:, 0]
+def misspelt(fields, value, scene):
+    fields["body_weight"][:, 1] = value[:, 0]
 
 
 def test_what_cannot_be_used_is_named_before_the_first_step():

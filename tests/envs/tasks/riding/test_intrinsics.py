@@ -45,7 +45,7 @@ def physical(intrinsics: Intrinsics, scene: Scene, x_int: Tensor) -> dict[str, T
     """Return Table II in physical units as the model's fields have it once x_int is applied, (n, size) by name."""
     model, layout, support, n = scene.model, scene.layout, scene.support_layout, len(x_int)
     fields = ModelFields(lambda name: torch.from_numpy(np.repeat(getattr(model, name)[None], n, 0)))
-    intrinsics.apply(fields, torch.arange(n), x_int)
+    intrinsics.apply(fields, x_int)
     trunk, actuators = layout.trunk_body, layout.actuators
     return {
         "payload": fields["body_mass"][:, [trunk]] - model.body_mass[trunk],
