@@ -4,33 +4,34 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Bounded, Composite, Unbounded
+from torchrl.data import Bounded, Composite
 from torchrl.envs import EnvBase
 
 from torchrl_atr._checks import check_kind, check_whole
 from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.models import Scene, build_scene
-from torchrl_atr.envs.physics.engine import DECIMATION, Engine
+from torchrl_atr.envs.physics import DECIMATION, Engine, PhysicsEngine, make_engine
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
+from torchrl_atr.envs.specs import flag, nested, observation_spec, values
 from torchrl_atr.envs.tasks.finite import as_float32, not_finite
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 from torchrl_atr.envs.tasks.mirrors import joints, matrix
 from torchrl_atr.envs.tasks.runner import ACTION_LIMIT, EpisodeRunner
 from torchrl_atr.envs.tasks.task import Task
 from torchrl_atr.envs.tasks.terms import StepOutcome
+from torchrl_atr.envs.transforms.seeding import make_generator
 
 _LOGGED = 20
 """Failures that are logged and dumped: the first tell the most, and a disk is finite."""
 _LOG = logging.getLogger(__name__)
-PhysicsEngine = Literal["batch", "dm_control"]
 
 
 class QuadrupedEnv(EnvBase):
@@ -74,12 +75,10 @@ class QuadrupedEnv(EnvBase):
     An env can be pickled and copied (``copy.deepcopy``), and goes on from there bit for bit. ``set_seed`` fixes
     intrinsics, initial states and disturbances, and the commands of a curriculum in front of it.
 
-    Keys, float32 and SI units: ``action`` (N, 12) and ``command`` (N, C) in. Out: the task's groups of observations,
-    for riding ``proprio`` (N, 44), ``speeds`` (N, 2), what answers the command, ``odometry`` (N, 3),
-    ``("privileged", "extrinsic")`` (N, 16) and ``("privileged", "outlook")`` (N, 14); for every task ``command``,
-    ``observation`` (proprio and command), ``("privileged", "intrinsic")``, ``moving_start`` (N, 1), whether the episode
-    began with part of what is asked, ``("reward_terms", name)`` and ``reward`` (N, 1), ``done``, ``terminated``,
-    ``truncated`` (N, 1).
+    Keys, float32 and SI units: ``action`` (N, 12) and ``command`` (N, C) in; out the task's groups of observations (of
+    riding ``proprio`` 44, ``speeds`` 2, ``odometry`` 3, ``("privileged", "extrinsic")`` 16, ``("privileged",
+    "outlook")`` 14), ``command``, ``observation`` (proprio and command), ``("privileged", "intrinsic")``,
+    ``moving_start``, ``("reward_terms", name)``, ``reward`` and the done flags.
 
     Example:
         >>> from torchrl_atr.envs.tasks import riding
@@ -110,13 +109,9 @@ class QuadrupedEnv(EnvBase):
         check_kind("task", task, Task, "a Task, such as riding('a1', 'single_board')")
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
         self.task = task
-        self.rng = torch.Generator()
-        if seed is None:
-            self.rng.seed()  # from the operating system: forked workers must not share intrinsics
-        else:
-            self.rng.manual_seed(seed)
+        self.rng = make_generator(seed)  # None: from the operating system, forked workers must not share intrinsics
         self.seeding: tuple[int, int] | None = None  # how often set_seed was called, and its last seed: transforms look
-        engine = make_engine(task, physics, num_envs, num_threads)
+        engine = make_engine(build_scene(task.robot, task.support), task.hook, physics, num_envs, num_threads)
         self.runner = EpisodeRunner(task, engine, randomization, self.rng, failed_episode_replay, compiled)
         self._recorder = None
         if dump_dir is not None:
@@ -136,7 +131,7 @@ class QuadrupedEnv(EnvBase):
 
     @property
     def readings(self) -> Readings:
-        """The paper's open questions as this env answers them."""
+        """The paper's open questions as the task answers them."""
         return self.task.readings
 
     @property
@@ -192,25 +187,14 @@ class QuadrupedEnv(EnvBase):
         return super().to(device)
 
     def _make_specs(self) -> None:
-        n = self.batch_size[0]
-
-        def flag() -> Binary:
-            return Binary(n=1, shape=(n, 1), dtype=torch.bool)
-
-        def values(size: int) -> Unbounded:
-            return Unbounded((n, size), dtype=torch.float32)
-
-        observation = Composite(shape=(n,))
-        for key, value in self._emitted.items():
-            observation[key] = flag() if value.dtype == torch.bool else values(value.shape[-1])
-        for name in self.runner.terms.rewards.terms:
-            observation["reward_terms", name] = values(1)
-        self.observation_spec = observation
-        self.state_spec = Composite(command=values(len(self.task.command)), shape=(n,))
+        n, terms = self.batch_size[0], self.runner.terms.rewards.terms
+        self.observation_spec = observation_spec(self._emitted, terms)
+        self.state_spec = Composite(command=values(n, len(self.task.command)), shape=(n,))
         shape = (n, self.runner.joints)
         self.action_spec = Bounded(-ACTION_LIMIT, ACTION_LIMIT, shape, dtype=torch.float32)
-        self.reward_spec = values(1)
-        self.full_done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=(n,))
+        self.reward_spec = values(n, 1)
+        flags = {name: flag(n) for name in ("done", "terminated", "truncated")}
+        self.full_done_spec = Composite(**flags, shape=(n,))
 
     @keeps_normal_tensors
     def _set_seed(self, seed: int | None) -> None:
@@ -272,19 +256,15 @@ class QuadrupedEnv(EnvBase):
         command = None if tensordict is None else tensordict.get("command", None)
         if command is None:
             return torch.zeros(shape, dtype=torch.float32)
-        names, units = (", ".join(each) for each in (self.task.command.names, self.task.command.units))
+        names, units = ", ".join(self.task.command.names), ", ".join(self.task.command.units)
         return as_float32("command", command, shape, f"({names})", f"give {units}")
 
     def _pack(self, terminated: Tensor, terms: dict[str, Tensor] | None = None, **more: Tensor) -> TensorDict:
         """Return what was observed last, with reward terms (None for zero), flags and ``more``."""
         terminated, names = terminated.unsqueeze(-1), self.runner.terms.rewards.terms
         terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape, dtype=torch.float32).unbind()))
-        flags = {
-            "terminated": terminated,
-            "truncated": torch.zeros_like(terminated),
-            "done": terminated.clone(),
-        }
-        entries = {**_nested(self._emitted), "reward_terms": terms, **flags, **more}
+        flags = {"terminated": terminated, "truncated": torch.zeros_like(terminated), "done": terminated.clone()}
+        entries = {**nested(self._emitted), "reward_terms": terms, **flags, **more}
         # not looked through entry by entry, a tenth of a millisecond a step: shapes and device are the env's own
         return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
 
@@ -293,7 +273,7 @@ class QuadrupedEnv(EnvBase):
 
         Disturbances and new episodes draw from ``rng``, whose state is not part of it: ``rng.get_state()``.
         """
-        state = {**self.runner.get_state(), "emitted": _nested(self._emitted)}
+        state = {**self.runner.get_state(), "emitted": nested(self._emitted)}
         return TensorDict(state, batch_size=self.batch_size).clone()
 
     @keeps_normal_tensors
@@ -318,33 +298,3 @@ class QuadrupedEnv(EnvBase):
             self._emitted = self.runner.observe(self._command(state))
         else:
             self._emitted = {key: emitted[key].to(value.dtype, copy=True) for key, value in self._emitted.items()}
-
-
-def _nested(values: dict[Any, Tensor]) -> dict[str, Any]:
-    """Return nested keys as nested dictionaries."""
-    nested: dict[str, Any] = {}
-    for key, value in values.items():
-        if isinstance(key, tuple):
-            nested.setdefault(key[0], {})[key[1]] = value
-        else:
-            nested[key] = value
-    return nested
-
-
-def make_engine(task: Task, physics: str, num_envs: int, num_threads: int | None) -> Engine:
-    """Return the engine of a task.
-
-    Raises:
-        InputError: for unknown ``physics``, or more than one robot for ``"dm_control"``.
-    """
-    if physics == "batch":
-        from torchrl_atr.envs.physics.batch import BatchEngine
-
-        return BatchEngine(build_scene(task.robot, task.support), num_envs, task.hook, num_threads)
-    if physics == "dm_control":
-        if num_envs != 1:
-            raise InputError(f"physics='dm_control' simulates one robot; num_envs={num_envs} needs physics='batch'")
-        from torchrl_atr.envs.physics.dmc import DmControlEngine  # slow to import: never on the training path
-
-        return DmControlEngine(build_scene(task.robot, task.support), task.hook)
-    raise InputError(f"unknown physics {physics!r}; choose 'batch' or 'dm_control'")

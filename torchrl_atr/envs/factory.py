@@ -11,8 +11,9 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._registry import nearest
-from torchrl_atr.envs.env import PhysicsEngine, QuadrupedEnv
+from torchrl_atr.envs.env import QuadrupedEnv
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec
+from torchrl_atr.envs.physics import PhysicsEngine
 from torchrl_atr.envs.tasks import RewardError, Task, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, task_transforms

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from torchrl_atr.envs.env import PhysicsEngine, QuadrupedEnv
+from torchrl_atr.envs.env import QuadrupedEnv
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec
+from torchrl_atr.envs.physics import PhysicsEngine
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardTerm, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization

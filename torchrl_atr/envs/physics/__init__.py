@@ -1,6 +1,7 @@
 """Engines: N simulations of a scene under one contract, and what a task does before every substep."""
 
+from torchrl_atr.envs.physics.choice import PhysicsEngine, make_engine
 from torchrl_atr.envs.physics.engine import CONTROL_DT, DECIMATION, Engine, ModelFields
 from torchrl_atr.envs.physics.hook import SubstepHook
 
-__all__ = ["CONTROL_DT", "DECIMATION", "Engine", "ModelFields", "SubstepHook"]
+__all__ = ["CONTROL_DT", "DECIMATION", "Engine", "ModelFields", "PhysicsEngine", "SubstepHook", "make_engine"]

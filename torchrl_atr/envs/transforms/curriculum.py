@@ -12,18 +12,13 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
-from torchrl_atr._checks import check_key, check_keys, check_kind, check_number, check_whole
-from torchrl_atr._errors import InputError
+from torchrl_atr._checks import check_key, check_keys, check_kind, check_whole
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr._registry import nearest_entry
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.rows import CommandRows
+from torchrl_atr.envs.transforms.scores import TRACKING_KEYS, check_scores, read_scores
 from torchrl_atr.envs.transforms.seeding import OwnGenerator, make_generator
-
-TRACKING_KEYS: tuple[NestedKey, ...] = (
-    ("reward_terms", "forward_command"),
-    ("reward_terms", "steering_command"),
-)
 
 
 class CommandCurriculum(OwnGenerator):
@@ -84,22 +79,12 @@ class CommandCurriculum(OwnGenerator):
         command_key: NestedKey = "command",
         seed: int | None = None,
     ) -> None:
-        for name, values in {"tracking_max": tracking_max, "thresholds": thresholds}.items():
-            check_kind(name, values, (Sequence, Tensor), "a list of numbers, one per score")
-            if isinstance(values, str | bytes) or (isinstance(values, Tensor) and values.ndim != 1):
-                raise InputError(f"{name}={values!r}: give a list of numbers, one per score")
         check_keys("tracking_keys", tracking_keys, "a list of keys, one per score")
         check_kind("grid", grid, CommandGrid, "a CommandGrid", optional=True)
         check_key("unscored_key", unscored_key, optional=True)
         check_key("command_key", command_key)
         super().__init__(in_keys=list(tracking_keys), out_keys=[command_key])
-        if not len(tracking_keys) == len(tracking_max) == len(thresholds) > 0:
-            raise ValueError(
-                "tracking_keys, tracking_max and thresholds need one entry per score, got "
-                f"{len(tracking_keys)}, {len(tracking_max)} and {len(thresholds)}"
-            )
-        thresholds = [check_number("thresholds", value) for value in _listed(thresholds)]
-        tracking_max = [check_number("tracking_max", value, above=0) for value in _listed(tracking_max)]
+        tracking_max, thresholds = check_scores(tracking_keys, tracking_max, thresholds)
         window, score_from = check_whole("window", window, None), check_whole("score_from", score_from, None)
         if not 0 <= score_from < window:
             raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
@@ -211,7 +196,7 @@ class CommandCurriculum(OwnGenerator):
     @torch.no_grad()
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         command = self.command  # raises before the first reset
-        scores, rows = self._scores(next_tensordict), self.rows
+        scores, rows = read_scores(self.in_keys, next_tensordict, len(self.rows.elapsed)), self.rows
         elapsed = rows.elapsed.add_(1)
         if self.score_from:
             scores = scores.masked_fill((elapsed <= self.score_from)[:, None], 0)
@@ -286,18 +271,6 @@ class CommandCurriculum(OwnGenerator):
         self.rows.allocate(batch, len(self.grid.bounds), len(self.in_keys), dtype, self.weights.device)
         return True
 
-    def _scores(self, next_tensordict: TensorDictBase) -> Tensor:
-        scores = [next_tensordict.get(key, None) for key in self.in_keys]
-        for key, score in zip(self.in_keys, scores):
-            if score is None:
-                raise KeyError(
-                    f"tracking key {key!r} is not in the step's output; {nearest_entry(key, next_tensordict)}"
-                )
-            if score.numel() != len(self.rows.elapsed):
-                needed = (*next_tensordict.batch_size, 1)
-                raise ValueError(f"tracking key {key!r} has shape {tuple(score.shape)}; a score needs {needed}")
-        return torch.cat([score.reshape(-1, 1) for score in scores], -1)
-
     def _close_windows(self, due: Tensor, next_tensordict: TensorDictBase) -> None:
         done, terminated = (next_tensordict.get(key).reshape(-1) for key in ("done", "terminated"))
         passed = due & ~terminated & (self.rows.cells >= 0) & (self.rows.sums >= self._required).all(-1)
@@ -314,7 +287,3 @@ class CommandCurriculum(OwnGenerator):
             commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
             self.rows.command.index_copy_(0, index, commands.to(self.rows.command.dtype))
             self.rows.cells.index_copy_(0, index, cells)
-
-
-def _listed(values: Sequence[float] | Tensor) -> Sequence[Any]:
-    return values.tolist() if isinstance(values, Tensor) else values
