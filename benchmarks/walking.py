@@ -1,0 +1,197 @@
+"""Train the walking task from scratch, and measure for a minute how well commands are followed, and the gait.
+
+``python -m benchmarks.walking`` goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs.utils import step_mdp
+
+from benchmarks import results
+from benchmarks.every_pair import train
+from torchrl_atr._files import say, write_json
+from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.envs.tasks.state import GRAVITY
+from torchrl_atr.evaluation import evaluate_tracking, tracking_metrics
+from torchrl_atr.evaluation.access import deterministic
+from torchrl_atr.training import DEPLOYED, TrainConfig, load_run, make_config, make_env
+from torchrl_atr.training.provenance import cores, machine
+
+SECONDS, SETTLE = 60.0, 5.0
+"""Length of a trial, and what the settled figures leave out."""
+SPEEDS, YAW_RATES = (0.0, 0.5, 1.0, 1.5), (-1.0, -0.5, 0.0, 0.5, 1.0)
+ROBOTS = 12
+"""Per command."""
+GAIT_SECONDS, GAIT_ROBOTS = 20.0, 32
+EVALUATION = "evaluation.json"
+"""In the run's folder."""
+
+
+def evaluate(run: Path) -> dict[str, Any]:
+    """Return the figures of a deployed policy, over commands and of its gait, and where it comes from."""
+    config, env, networks, state = load_run(run, num_envs=1)
+    env.close()
+    policy = networks.deployed_policy()
+    tracking = {randomization: _tracking(policy, config, randomization) for randomization in ("train", "test")}
+    gait = [measure_gait(policy, config, speed) for speed in SPEEDS[1:]]
+    return {"tracking": tracking, "gait": gait, "run": state["provenance"]}
+
+
+def _tracking(policy: TensorDictModuleBase, config: TrainConfig, randomization: str) -> dict[str, Any]:
+    result = evaluate_tracking(
+        policy,
+        partial(make_env, config, randomization=randomization, **DEPLOYED),
+        (SPEEDS, YAW_RATES),
+        ROBOTS,
+        SECONDS,
+        SETTLE,
+        seed=config.seed + 1,
+    )
+    metrics = tracking_metrics(result)
+    names = ("n", "survival", "settled_speed_error", "settled_yaw_error", "yaw_slope")
+    worst = {f"worst_{name}": float(np.nanmean(getattr(result, name), -1).max()) for name in names[2:4]}
+    return {**{name: metrics[name] for name in names}, **worst}
+
+
+def measure_gait(policy: TensorDictModuleBase, config: TrainConfig, speed: float) -> dict[str, float]:
+    """Measure robots that walk straight on: cost of transport, duty factor, air time, swing height.
+
+    Args:
+        policy: deployed.
+        config: of its run.
+        speed: commanded, m/s.
+
+    Returns:
+        Means over robots and time after the first five seconds: ``speed``, m/s; ``power``, Σ max(τ q̇, 0), W;
+        ``cost_of_transport``, power over m g v; ``duty``, share of the time that a foot bears; ``swing_height``,
+        highest point of a foot in a stride, m; ``air_time``, s.
+    """
+    env = make_env(config, num_envs=GAIT_ROBOTS, seed=config.seed + 2, **DEPLOYED)
+    env.curriculum.pin((speed, 0.0))
+    base, samples = env.base_env, []
+    with deterministic(policy):
+        td = env.reset()
+        for step in range(round(GAIT_SECONDS / CONTROL_DT)):
+            td = env.step(td.update(policy(td.select(*policy.in_keys))))
+            if step * CONTROL_DT >= SETTLE:
+                state = base.runner.terms.reader.read()
+                power = (state.torque * state.torque_velocity).clamp_min(0.0).sum(-1)
+                samples.append(
+                    torch.cat([td["next", "speeds"][:, :1], power[:, None], state.contacts, state.foot_height], -1)
+                )
+            td = step_mdp(td)
+    speeds, power, contacts, heights = torch.stack(samples).split([1, 1, 4, 4], -1)
+    mass = base.engine.fields["body_mass"].sum(-1).float()
+    env.close(raise_if_closed=False)
+    reached = speeds.mean(0)[:, 0]
+    return {
+        "command": speed,
+        "speed": float(reached.mean()),
+        "power": float(power.mean()),
+        "cost_of_transport": float((power.mean(0)[:, 0] / (mass * GRAVITY * reached)).mean()),
+        "duty": float(contacts.mean()),
+        **strides(contacts > 0, heights),
+    }
+
+
+def strides(bears: Tensor, heights: Tensor) -> dict[str, float]:
+    """Return mean air time, s, and height, m, of swings, (T, N, 4) each; those cut off at the ends are left out.
+
+    Example:
+        >>> bears = torch.tensor([True, False, False, True])[:, None, None]
+        >>> figures = strides(bears, torch.tensor([0.0, 0.01, 0.03, 0.0])[:, None, None])
+        >>> {name: round(value, 2) for name, value in figures.items()}
+        {'air_time': 0.04, 'swing_height': 0.03}
+    """
+    times, peaks = [], []
+    for foot, height in zip(bears.flatten(1).T.numpy(), heights.flatten(1).T.numpy()):
+        edges = np.diff(foot.astype(int))
+        lifts, lands = np.flatnonzero(edges == -1) + 1, np.flatnonzero(edges == 1) + 1
+        for lift in lifts:
+            after = lands[lands > lift]
+            if len(after):
+                times.append((after[0] - lift) * CONTROL_DT)
+                peaks.append(float(height[lift : after[0]].max()))
+    if not times:
+        return {"air_time": 0.0, "swing_height": 0.0}
+    return {"air_time": float(np.mean(times)), "swing_height": float(np.mean(peaks))}
+
+
+def page(report: dict[str, Any]) -> str:
+    """Return the report as Markdown."""
+    origin = report["run"]
+    lines = [
+        f"# Walking: {report['robot']}",
+        "",
+        f"`{report['command']}`: {origin['frames']:,} robot steps from scratch in {origin['minutes']:.1f} minutes on "
+        f"{cores(origin['hardware'])}, seed {origin['seed']}.",
+        "",
+        f"Deployed: proprioception only. {SECONDS:g} s from rest without pushes, speeds {min(SPEEDS):g} to "
+        f"{max(SPEEDS):g} m/s, yaw rates {min(YAW_RATES):g} to {max(YAW_RATES):g} rad/s; errors after {SETTLE:g} s.",
+        "",
+        "| intrinsics | robots | up at the end | speed error, m/s (worst command) | yaw error, rad/s (worst command) |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name, row in report["tracking"].items():
+        errors = " | ".join(
+            f"{row[f'settled_{kind}_error']:.3f} ({row[f'worst_settled_{kind}_error']:.3f})"
+            for kind in ("speed", "yaw")
+        )
+        lines.append(f"| {name} range | {row['n']} | {row['survival']:.1%} | {errors} |")
+    lines += [
+        "",
+        f"The gait, straight on, {GAIT_ROBOTS} robots; power is Σ max(τ q̇, 0), its cost of transport P / (m g v):",
+        "",
+        "| command, m/s | reached, m/s | power, W | cost of transport | duty factor | air time, s | swing height, m |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for row in report["gait"]:
+        lines.append(
+            f"| {row['command']:g} | {row['speed']:.2f} | {row['power']:.1f} | {row['cost_of_transport']:.2f} | "
+            f"{row['duty']:.2f} | {row['air_time']:.2f} | {row['swing_height']:.3f} |"
+        )
+    return "\n".join([*lines, ""])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Train and evaluate; write ``walking.json`` and ``README.md``."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.walking", description=__doc__)
+    parser.add_argument("--robot", default="a1")
+    parser.add_argument("--frames", type=int, default=5_000_000, help="robot steps")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--output", type=Path, default=Path("results/walking"), metavar="FOLDER")
+    parser.add_argument("--run", type=Path, default=Path("runs/walking"), metavar="FOLDER", help="to go on from")
+    arguments = parser.parse_args(argv)
+    return results.exit_code("walking", partial(_measure, arguments))
+
+
+def _measure(arguments: argparse.Namespace) -> None:
+    settings = {"robot": arguments.robot, "seed": arguments.seed, "total_frames": arguments.frames, "max_minutes": 30.0}
+    config = make_config({"task": "walking", **settings, "compiled": True})
+    results.refuse_other_settings(config, arguments.run)
+    if not (arguments.run / EVALUATION).is_file():
+        train(config, arguments.run)
+        write_json(arguments.run / EVALUATION, evaluate(arguments.run))
+    figures = json.loads((arguments.run / EVALUATION).read_text(encoding="utf-8"))
+    command = (
+        f"python -m benchmarks.walking --robot {arguments.robot} --frames {arguments.frames} --seed {arguments.seed}"
+    )
+    report = {"command": command, "robot": arguments.robot, **figures, "versions": machine()["versions"]}
+    results.write(arguments.output, "walking", report, page(report))
+    say(page(report))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
