@@ -196,7 +196,8 @@ class EpisodeRunner:
 
     def get_state(self) -> dict[str, Tensor]:
         """Return simulation state (float64) and bookkeeping, copied."""
-        return {**self.engine.get_state(), **{name: value.clone() for name, value in self._bookkeeping().items()}}
+        own = {**self._bookkeeping(), **self._reader.state}
+        return {**self.engine.get_state(), **{name: value.clone() for name, value in own.items()}}
 
     def _bookkeeping(self) -> dict[str, Tensor]:
         names = ("x_int", "previous_action", "steps", "failed", "moving")
@@ -206,18 +207,23 @@ class EpisodeRunner:
     def set_state(self, state: dict[str, Tensor]) -> None:
         """Restore a :meth:`get_state`, of any engine: intrinsic parameters, simulation and bookkeeping.
 
+        What the state reader took differences to may be missing: they start anew then, from the present state.
+
         Raises:
-            KeyError: if an entry is missing.
+            KeyError: if another entry is missing.
             ValueError: if an entry's shape does not fit.
         """
+        previous = {name: state[name] for name in self._reader.state if name in state}
         for name, value in self.get_state().items():
+            if name in self._reader.state and name not in previous:
+                continue
             if name not in state:
                 raise KeyError(f"the state lacks {name!r}; pass what get_state() returned")
             if state[name].shape != value.shape:
                 got, needed = tuple(state[name].shape), tuple(value.shape)
                 raise ValueError(f"state entry {name!r} has shape {got}; this env needs {needed}")
         own = {name: state[name].to(value.dtype, copy=True) for name, value in self._bookkeeping().items()}
-        for name, value in own.items():
+        for name, value in {**own, **previous}.items():
             if value.ndim == 2 and (bad := bad_rows(value)):
                 raise InputError(f"state entry {name!r} is not finite in float32 for env ids {bad[:8]}; correct it")
         for held in (self.memory, self.sensor_errors.state):
@@ -228,3 +234,5 @@ class EpisodeRunner:
         self.engine.reset(rows, qpos, qvel, lambda fields: self.intrinsics.apply(fields, self.x_int))
         self.engine.set_state(dict(state))
         self._reader.forget()
+        for name, value in previous.items():
+            self._reader.state[name].copy_(value)
