@@ -91,7 +91,7 @@ def record_video(
     """
     check_suffix(path)
     if commands is None:
-        commands = _within(command_limits(env), DEFAULT_RIDE)
+        commands = within(command_limits(env), DEFAULT_RIDE)
     if not commands or not seconds >= CONTROL_DT or not fps > 0:
         raise InputError(
             f"a video of {seconds:g} s with {fps:g} pictures a second and {len(commands)} commands cannot be; give at "
@@ -136,7 +136,8 @@ def ride(
         owner.unpin()
 
 
-def _within(limits: tuple[ArrayLike, ArrayLike], commands: Sequence[Command]) -> list[Command]:
+def within(limits: tuple[ArrayLike, ArrayLike], commands: Sequence[Command]) -> list[Command]:
+    """Return the commands cut to the lowest and the highest one, (2,) each."""
     pairs = [(begin, np.clip(command, *limits).tolist()) for begin, *command in commands]
     return [(begin, speed, yaw_rate) for begin, (speed, yaw_rate) in pairs]
 
