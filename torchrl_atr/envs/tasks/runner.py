@@ -11,6 +11,7 @@ from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.finite import as_float32, bad_rows
 from torchrl_atr.envs.tasks.intrinsic_parameters import RANDOMIZATIONS, Intrinsics, Randomization
+from torchrl_atr.envs.tasks.memory_terms import MemoryTermError
 from torchrl_atr.envs.tasks.reward_terms import TERMINATION
 from torchrl_atr.envs.tasks.sensor_errors import SensorErrors
 from torchrl_atr.envs.tasks.task import Task
@@ -23,6 +24,7 @@ The same for all joints, so that 0, the stand, is the middle of a squashed polic
 image; the committed A1 policy stays within it in 99 of 100 steps. Beyond it, actions are carried out as they are; the
 model clips joint targets at its control ranges, wherever they come from.
 """
+_BOOKKEEPING = ("x_int", "previous_action", "steps", "failed", "moving")
 
 
 class EpisodeRunner:
@@ -81,9 +83,16 @@ class EpisodeRunner:
         self.intrinsics = Intrinsics(task.intrinsics, self.scene)
         self.x_int = self.intrinsics.sample(n, "off", rng)
         self.terms = TaskTerms(task, self._reader, compiled)
+        self._check_names()
         self.memory: Memory = self.terms.no_memory
         self.sensor_errors = SensorErrors(self.terms.observations, n, rng)
         self.start_episodes(torch.arange(n), torch.zeros(n, len(task.command), dtype=torch.float32))
+
+    def _check_names(self) -> None:
+        """Refuse memory that would take the place of another entry of the state."""
+        for name in self.task.memory:
+            if name in (*_BOOKKEEPING, *self.engine.live_state, *self._reader.state, "command", "emitted"):
+                raise MemoryTermError(f"the memory term {name!r} has the name of a state entry; give it another name")
 
     @keeps_normal_tensors
     @torch.no_grad()
@@ -200,8 +209,8 @@ class EpisodeRunner:
         return {**self.engine.get_state(), **{name: value.clone() for name, value in own.items()}}
 
     def _bookkeeping(self) -> dict[str, Tensor]:
-        names = ("x_int", "previous_action", "steps", "failed", "moving")
-        return {**{name: getattr(self, name) for name in names}, **self.memory, **self.sensor_errors.state}
+        own = {name: getattr(self, name) for name in _BOOKKEEPING}
+        return {**own, **self.memory, **self.sensor_errors.state}
 
     @keeps_normal_tensors
     def set_state(self, state: dict[str, Tensor]) -> None:
