@@ -8,14 +8,16 @@ from torchrl.envs.utils import check_env_specs
 
 from torchrl_atr._compilation import compiler
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs import RidingEnv, make_riding_env
+from torchrl_atr.envs import RidingEnv, make_env
+from torchrl_atr.envs.tasks import make_task
 
 with_compiler = pytest.mark.skipif(compiler() is None, reason="no C++ compiler on PATH")
 
 
-def ride(compiled: bool, **options):
+def ride(compiled: bool, name: str = "riding", **options):
     torch.manual_seed(0)
-    env = make_riding_env(num_envs=16, num_threads=1, seed=0, compiled=compiled, max_steps=25, window=10, **options)
+    task = make_task(name, **options)
+    env = make_env(task, num_envs=16, num_threads=1, seed=0, compiled=compiled, max_steps=25, window=10)
     td, steps = env.reset(), []
     for action in 0.3 * torch.randn(60, 16, 12):
         step, td = env.step_and_maybe_reset(td.set("action", action))
@@ -26,8 +28,8 @@ def ride(compiled: bool, **options):
 @with_compiler
 @pytest.mark.parametrize(
     "options",
-    [{}, {"profile": "literal"}, {"transporter": "two_board", "profile": "ancestor"}],
-    ids=["default", "literal", "two boards, ancestor"],
+    [{}, {"profile": "literal"}, {"transporter": "two_board", "profile": "ancestor"}, {"name": "walking"}],
+    ids=["default", "literal", "two boards, ancestor", "walking"],
 )
 def test_a_compiled_step_is_the_eager_one_to_rounding(options):
     torch._dynamo.utils.counters.clear()

@@ -1,87 +1,163 @@
-"""Every robot on every transporter, on both engines, held to one standard."""
+"""Every task of the package, for every robot (on every transporter), on both engines, held to one standard."""
 
 from __future__ import annotations
 
-import numpy as np
+import copy
+import inspect
+import itertools
+import pickle
+
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
-from torchrl_atr.envs import ROBOTS, RidingEnv
+from torchrl_atr.envs import ROBOTS, QuadrupedEnv, RidingEnv
 from torchrl_atr.envs.models import DESIGNS
-from torchrl_atr.envs.tasks import RIDING_REWARDS, StepContext
+from torchrl_atr.envs.tasks import TASKS, StepContext, make_task
 
-PAIRS = [(robot, transporter) for robot in ROBOTS.names() for transporter in DESIGNS]
+OURS = [name for name in TASKS.names() if TASKS.get(name).__module__.startswith("torchrl_atr.")]
+"""Tests of other files register tasks of their own."""
+PARTS = {"robot": ROBOTS.names(), "transporter": tuple(DESIGNS)}
 STEPS = 500
 
 
-@pytest.fixture(params=PAIRS, ids="-".join)
-def pair(request):
+def cases() -> list[tuple[str, dict[str, str]]]:
+    """Tasks with every combination of the robots and transporters that they take."""
+    found = []
+    for name in OURS:
+        taken = [part for part in PARTS if part in inspect.signature(TASKS.get(name)).parameters]
+        for values in itertools.product(*(PARTS[part] for part in taken)):
+            found.append((name, dict(zip(taken, values, strict=True))))
+    return found
+
+
+@pytest.fixture(scope="module", params=cases(), ids=lambda case: "-".join([case[0], *case[1].values()]))
+def case(request):
     return request.param
 
 
-@pytest.fixture(params=["batch", "dm_control"])
-def make(pair, request):
-    """``make(seed)``: an env of the pair; one robot on dm_control, three on the batch engine."""
-    physics = request.param
+@pytest.fixture(scope="module", params=["batch", "dm_control"])
+def make(case, request):
+    """``make(seed)``: an env of the case; one robot on dm_control, three on the batch engine."""
+    (name, parts), physics = case, request.param
 
-    def build(seed: int = 0) -> RidingEnv:
+    def build(seed: int = 0) -> QuadrupedEnv:
         num_envs = 1 if physics == "dm_control" else 3
-        return RidingEnv(*pair, num_envs=num_envs, physics=physics, seed=seed, num_threads=1)
+        return QuadrupedEnv(make_task(name, **parts), num_envs, physics, seed=seed, num_threads=1)
 
     return build
 
 
-def ride(env: RidingEnv, steps: int) -> TensorDict:
-    """A rollout under random actions; fallen robots go on."""
-    generator = torch.Generator().manual_seed(1)
-    td, steps_taken = env.reset(), []
+@pytest.fixture(scope="module")
+def env(make) -> QuadrupedEnv:
+    """Shared; tests begin it anew."""
+    return make()
+
+
+def run(env: QuadrupedEnv, td: TensorDict, steps: int) -> TensorDict:
+    """What random actions under a command of half the bounds lead to; fallen robots go on."""
+    generator, taken = torch.Generator().manual_seed(1), []
+    command = 0.5 * torch.tensor(env.task.command.grid.bounds).expand(*env.batch_size, -1)
     for _ in range(steps):
         td["action"] = torch.randn(env.action_spec.shape, generator=generator)
-        td, following = env.step_and_maybe_reset(td)
-        steps_taken.append(td["next"])
+        td, following = env.step_and_maybe_reset(td.set("command", command))
+        taken.append(td["next"])
         td = following
-    return torch.stack(steps_taken, 1)
+    return torch.stack(taken, 1)
 
 
-def test_specs(make):
-    check_env_specs(make())
+def rest(env: QuadrupedEnv) -> TensorDict:
+    """From where the env is now."""
+    return TensorDict({}, batch_size=env.batch_size)
 
 
-def test_same_seed_same_ride(make):
-    first, second = (ride(make(seed=3), 30) for _ in range(2))
-    for key in ("observation", "reward", ("privileged", "extrinsic")):
-        np.testing.assert_array_equal(first[key].numpy(), second[key].numpy())
+def differing(one: TensorDict, other: TensorDict) -> list[object]:
+    """Entries that are not the same, bit for bit."""
+    return [key for key in one.keys(True, True) if not torch.equal(one[key], other[key])]
 
 
-def test_random_actions_stay_finite_move_every_observation_and_name_every_term(make):
-    env = make()
-    data = ride(env, STEPS)
-    assert env.num_diverged == 0
-    for key in ("observation", "reward", ("privileged", "intrinsic"), ("privileged", "extrinsic")):
+def test_specs(env):
+    check_env_specs(env)
+
+
+def test_same_seed_same_rollout(make):
+    first, second = (run(env, env.reset(), 30) for env in (make(seed=3), make(seed=3)))
+    assert differing(first, second) == []
+
+
+def test_random_actions_stay_finite_move_every_observation_and_name_every_term(env):
+    failed = env.num_diverged
+    data = run(env, env.reset(), STEPS)
+    assert env.num_diverged == failed
+    for key in data.keys(True, True):
         assert data[key].isfinite().all(), key
-    for key in ("proprio", ("privileged", "extrinsic"), ("privileged", "outlook")):
+    for key in env.task.observations:
         spread = data[key].flatten(0, 1).std(0)
         assert (spread > 0).all(), (key, (spread == 0).nonzero().squeeze(-1).tolist())
-    assert set(data["reward_terms"].keys()) == set(RIDING_REWARDS)
-    total = torch.stack([data["reward_terms", name] for name in RIDING_REWARDS]).sum(0)
+    assert set(data["reward_terms"].keys()) == set(env.task.rewards)
+    total = torch.stack(list(data["reward_terms"].values())).sum(0)
     torch.testing.assert_close(total, data["reward"])
 
 
-def test_every_episode_starts_standing_on_its_boards(make):
-    """Table II in its training range, the robot upright and inside its deck."""
-    env = make()
-    size = torch.tensor(env.scene.support.spec.size[:2]) / 2
+def test_every_episode_starts_standing_on_what_carries_it(env):
+    """Intrinsics in their training range, the robot upright and, on a deck, inside it."""
     for _ in range(3):
         td = env.reset()
         assert (td["privileged", "intrinsic"].abs() <= 1.0 + 1e-6).all()
-        relative = td["privileged", "extrinsic"][:, 13:15].abs()
-        assert (relative < size / 2).all()
-        reading = env.runner.observe(torch.zeros(env.batch_size[0], 2))
-        context = StepContext(env.runner.terms.reader.read(), *[td["command"]] * 3, None, env.scene, env.readings)
+        if env.task.support.size is not None:
+            relative = td["privileged", "extrinsic"][:, 13:15].abs()
+            assert (relative < torch.tensor(env.task.support.size) / 2).all()
+        reading = env.runner.observe(torch.zeros(*env.batch_size, 2))
+        state = env.runner.terms.reader.read()
+        context = StepContext(state, *[td["command"]] * 3, None, env.scene, env.readings)
         assert not [name for name, ends in env.task.terminations.items() if ends(context).any()]
         assert (reading["proprio"][:, 6:8].abs() < 0.1).all()  # roll and pitch
+        height = state.position[:, 2] - env.task.support.height
+        assert ((height - env.task.robot.standing_height).abs() < 0.05).all()
+
+
+def test_a_partial_reset_touches_only_its_rows(env):
+    last = run(env, env.reset(), 10)[:, -1].exclude("reward")
+    chosen = torch.arange(len(last)) == 1  # of one robot alone: none
+    before = env.get_state()
+    env.reset(last.set("_reset", chosen.unsqueeze(-1)))
+    after = env.get_state()
+    for name in before.keys(True, True):
+        assert torch.equal(after[name][~chosen], before[name][~chosen]), name
+    assert not (after["x_int"] == before["x_int"])[chosen].all(-1).any()
+    assert (after["qvel"][chosen] == 0).all()
+    assert (after["previous_action"][chosen] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "duplicate", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"]
+)
+def test_copies_go_on_bit_for_bit(env, duplicate):
+    run(env, env.reset(), 5)
+    other = duplicate(env)
+    assert differing(run(env, rest(env), 6), run(other, rest(env), 6)) == []
+
+
+def test_a_state_is_restored_bit_for_bit(env):
+    run(env, env.reset(), 5)
+    state, draws = env.get_state(), env.rng.get_state()
+    one = run(env, rest(env), 6)
+    env.set_state(state)
+    env.rng.set_state(draws)
+    assert differing(env.get_state(), state) == []
+    assert differing(run(env, rest(env), 6), one) == []
+
+
+def test_mirror_images_are_signed_permutations_that_undo_themselves(env):
+    images = env.reflections
+    assert set(images) >= {*env.task.observations, "command", "observation", ("privileged", "intrinsic"), "action"}
+    for key, matrix in images.items():
+        spec = env.action_spec if key == "action" else env.observation_spec[key]
+        assert spec.shape[-1] == len(matrix), key
+        assert torch.equal(matrix @ matrix, torch.eye(len(matrix))), key
+        for axis in (0, 1):
+            assert ((matrix != 0).sum(axis) == 1).all(), key
 
 
 @pytest.mark.parametrize("robot", ["a1", "go1"])

@@ -10,9 +10,9 @@ import torch
 from tensordict import TensorDict
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs import ROBOTS, RidingEnv
+from torchrl_atr.envs import ROBOTS, QuadrupedEnv, RidingEnv
 from torchrl_atr.envs.recorder import load_dump
-from torchrl_atr.envs.tasks import ObservationTerm
+from torchrl_atr.envs.tasks import ObservationTerm, riding, walking
 from torchrl_atr.evaluation import replay
 
 BAD, STEP = 2, 7
@@ -50,7 +50,7 @@ def spoil_rewards(env, monkeypatch, spoil):
 
 
 def spoil_term(env, monkeypatch):
-    row = list(env.runner.terms.rewards.terms).index("force_regulation")
+    row = list(env.runner.terms.rewards.terms).index("joint_torque")
     spoil_rewards(env, monkeypatch, lambda reward, terms: terms[row, BAD].fill_(torch.nan))
 
 
@@ -76,13 +76,14 @@ def ride(env, monkeypatch, spoil=None, steps=STEP + 1):
     [
         (spoil_simulation, "its simulation diverged"),
         (spoil_observation, "'proprio' is not finite"),
-        (spoil_term, "'reward_terms/force_regulation' is not finite"),
+        (spoil_term, "'reward_terms/joint_torque' is not finite"),
         (spoil_reward, "'reward' is not finite"),
     ],
 )
-def test_it_is_contained_named_and_dumped(spoil, reason, tmp_path, monkeypatch, caplog):
-    calm = ride(RidingEnv(num_envs=4, seed=0), monkeypatch)
-    env = RidingEnv(num_envs=4, seed=0, dump_dir=tmp_path)
+@pytest.mark.parametrize("make_task", [riding, walking])
+def test_it_is_contained_named_and_dumped(make_task, spoil, reason, tmp_path, monkeypatch, caplog):
+    calm = ride(QuadrupedEnv(make_task(), 4, seed=0, num_threads=1), monkeypatch)
+    env = QuadrupedEnv(make_task(), 4, seed=0, dump_dir=tmp_path, num_threads=1)
     with caplog.at_level(logging.WARNING, logger="torchrl_atr"):
         wild = ride(env, monkeypatch, spoil)
     for key in wild.keys(True, True):
@@ -90,8 +91,9 @@ def test_it_is_contained_named_and_dumped(spoil, reason, tmp_path, monkeypatch, 
         assert torch.equal(wild[key][OTHERS], calm[key][OTHERS]), key
     assert wild["terminated"][:, -1, 0].tolist() == [False, False, True, False]
     # nothing of such a step can be scored but its end, and the terms still add up
-    assert wild["reward"][BAD, -1].item() == pytest.approx(-0.2)
-    assert sum(term[BAD, -1].item() for term in wild["reward_terms"].values()) == pytest.approx(-0.2)
+    cost = {"riding": -0.2, "walking": -1.0}[env.task.name]
+    assert wild["reward"][BAD, -1].item() == pytest.approx(cost)
+    assert sum(term[BAD, -1].item() for term in wild["reward_terms"].values()) == pytest.approx(cost)
     assert env.num_diverged == 1
     (path,) = tmp_path.iterdir()
     assert f"env id {BAD}: {reason}" in caplog.text
@@ -101,8 +103,9 @@ def test_it_is_contained_named_and_dumped(spoil, reason, tmp_path, monkeypatch, 
     assert dump["actions"].shape == (STEP + 1, 12)
 
 
-def test_a_replay_is_what_happened(tmp_path, monkeypatch):
-    env = RidingEnv(num_envs=4, seed=0, dump_dir=tmp_path)
+@pytest.mark.parametrize("make_task", [riding, walking])
+def test_a_replay_is_what_happened(make_task, tmp_path, monkeypatch):
+    env = QuadrupedEnv(make_task(), 4, seed=0, dump_dir=tmp_path, num_threads=1)
     wild = ride(env, monkeypatch, spoil_simulation)
     (path,) = tmp_path.iterdir()
     steps = list(replay(path))

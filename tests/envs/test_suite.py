@@ -10,12 +10,19 @@ from dm_control.rl import control
 from torchrl.envs import DMControlWrapper
 from torchrl.envs.utils import check_env_specs
 
-from torchrl_atr.envs import suite
+from torchrl_atr.envs import QuadrupedEnv, suite
 from torchrl_atr.envs.riding import RidingEnv
+from torchrl_atr.envs.tasks import riding, walking
 
 
-def test_it_is_an_ordinary_dm_control_environment():
-    environment = suite.load("a1", "single_board", random=0)
+@pytest.fixture(params=[riding, walking])
+def task(request):
+    """Every task of the package, without pushes."""
+    return request.param(pushes=False)
+
+
+def test_it_is_an_ordinary_dm_control_environment(task):
+    environment = suite.load_task(task, random=0)
     assert isinstance(environment, control.Environment)
     first = environment.reset()
     assert first.first()
@@ -47,10 +54,27 @@ def test_observations_are_flat_and_none_is_called_state():
     assert sizes == {name: (size,) for name, size in expected.items()}
 
 
-def test_torchrls_own_wrapper_takes_it():
-    env = DMControlWrapper(suite.load("a1", "single_board", random=0))
+def test_walking_shows_its_clock_and_its_feet():
+    observation = suite.load_task(walking(), random=0).reset().observation
+    sizes = {name: value.shape[-1] for name, value in observation.items()}
+    assert sizes == {
+        "proprio": 46,
+        "command": 2,
+        "moving_start": 1,
+        "observation": 48,
+        "speeds": 2,
+        "odometry": 3,
+        "privileged_intrinsic": QuadrupedEnv(walking(), 1).runner.intrinsics.size,
+        "privileged_extrinsic": 7,
+        "privileged_outlook": 12,
+    }
+
+
+def test_torchrls_own_wrapper_takes_it(task):
+    env = DMControlWrapper(suite.load_task(task, random=0))
     check_env_specs(env)
-    assert env.rollout(3)["next", "privileged_intrinsic"].shape == (3, 34)
+    size = env.observation_spec["observation"].shape[-1]
+    assert env.rollout(3)["next", "observation"].shape == (3, size)
 
 
 def test_action_bounds_are_those_of_riding_env():
@@ -60,13 +84,13 @@ def test_action_bounds_are_those_of_riding_env():
     np.testing.assert_array_equal(np.broadcast_to(spec.maximum, spec.shape), env.action_spec.space.high[0])
 
 
-def test_it_is_the_task_that_riding_env_asks():
-    environment = suite.load(random=0, pushes=False)
+def test_it_is_the_task_that_the_env_asks(task):
+    environment = suite.load_task(task, random=0)
     environment.task.command = (0.7, -0.2)
     first = environment.reset()
-    env = RidingEnv(num_envs=1, seed=3, num_threads=1, pushes=False)
-    task = environment.task.runner
-    state = {**task.get_state(), "command": torch.tensor([[0.7, -0.2]])}
+    env = QuadrupedEnv(task, num_envs=1, seed=3, num_threads=1)
+    runner = environment.task.runner
+    state = {**runner.get_state(), "command": torch.tensor([[0.7, -0.2]])}
     env.set_state(type(env.get_state())(state, batch_size=[1]))
     np.testing.assert_allclose(first.observation["observation"], env._emitted["observation"][0], atol=1e-6)
     rng = np.random.default_rng(0)
@@ -81,12 +105,13 @@ def test_it_is_the_task_that_riding_env_asks():
         assert theirs.reward == pytest.approx(ours["reward"].item(), abs=1e-5)
         for name, value in environment.task.reward_terms.items():
             assert value == pytest.approx(ours["reward_terms", name].item(), abs=1e-5)
-    np.testing.assert_allclose(task.engine.qpos, env.engine.qpos, atol=1e-9)
+    assert set(environment.task.reward_terms) == set(task.rewards)
+    np.testing.assert_allclose(runner.engine.qpos, env.engine.qpos, atol=1e-9)
 
 
-def test_seeds_fix_the_episodes_and_episodes_differ():
+def test_seeds_fix_the_episodes_and_episodes_differ(task):
     def intrinsics(seed: int) -> list[np.ndarray]:
-        environment = suite.load(random=seed)
+        environment = suite.load_task(task, random=seed)
         return [environment.reset().observation["privileged_intrinsic"] for _ in range(2)]
 
     one, again, other = intrinsics(1), intrinsics(1), intrinsics(2)
@@ -109,8 +134,8 @@ def test_a_fall_has_discount_zero_and_the_time_limit_one():
 
 
 @pytest.mark.parametrize("value", [1e13, np.nan])
-def test_divergence_ends_the_episode_instead_of_the_program(value):
-    environment = suite.load(random=0)
+def test_divergence_ends_the_episode_instead_of_the_program(task, value):
+    environment = suite.load_task(task, random=0)
     for _ in range(2):
         environment.reset()
         environment.physics.data.qvel[8] = value
@@ -146,6 +171,19 @@ def test_bad_input_is_named():
         environment.step(np.full(12, np.nan))
     with pytest.raises(ValueError, match=r"'action' has shape \(1, 11\)"):
         environment.step(np.zeros(11))
+
+
+def test_a_walker_that_falls_has_discount_zero_and_its_clock_starts_anew():
+    environment = suite.load_task(walking(pushes=False), random=0)
+    environment.task.command = (1.0, 0.0)
+    assert environment.reset().observation["proprio"][-2:].tolist() == [0.0, 1.0]
+    clocks = [environment.step(np.zeros(12)).observation["proprio"][-2:] for _ in range(3)]
+    np.testing.assert_allclose(np.arctan2(*np.stack(clocks).T), 2 * np.pi * 0.05 * np.arange(1, 4), atol=1e-5)  # 2.5 Hz
+    environment.physics.data.qpos[environment.task.runner.scene.layout.root_qpos + 2] = 0.05
+    fallen = environment.step(np.zeros(12))
+    assert fallen.last()
+    assert fallen.discount == 0.0
+    assert environment.reset().observation["proprio"][-2:].tolist() == [0.0, 1.0]
 
 
 def test_the_floor_moves_back_under_a_board_that_rides():

@@ -4,11 +4,14 @@ import torch
 from tensordict.nn import TensorDictModule
 from torchrl.envs import TransformedEnv
 
+from torchrl_atr.envs import make_env
 from torchrl_atr.envs.riding import RidingEnv
+from torchrl_atr.envs.tasks import walking
 from torchrl_atr.envs.transforms import task_transforms
-from torchrl_atr.evaluation import play_viewer, record_video, rendering
+from torchrl_atr.evaluation import DEFAULT_RIDE, play_viewer, record_video, rendering
+from torchrl_atr.evaluation.access import command_limits
 from torchrl_atr.evaluation.rendering import Mirror, Picture
-from torchrl_atr.evaluation.video import command_at, ride
+from torchrl_atr.evaluation.video import command_at, ride, within
 from torchrl_atr.evaluation.viewer import Keyboard
 
 
@@ -201,6 +204,28 @@ def test_the_keyboard_steers_within_limits():
     assert command_at(keyboard, 0.0) == (0.25, 0.0)
     keyboard(Keyboard.SPACE)
     assert command_at(keyboard, 0.0) == (0.0, 0.0)
+
+
+def test_keyboard_and_default_video_keep_within_what_the_task_draws(stand):
+    env = make_env(walking(pushes=False), num_envs=1, num_threads=1)
+    low, high = command_limits(env)
+    keyboard = Keyboard(high, lowest=low)
+    for key in (Keyboard.DOWN, *(Keyboard.RIGHT,) * 5):
+        keyboard(key)
+    assert command_at(keyboard, 0.0) == (0.0, -1.0)
+    for _ in range(9):
+        keyboard(Keyboard.UP)
+    assert command_at(keyboard, 0.0) == (1.5, -1.0)
+    cut = within((low, high), DEFAULT_RIDE)
+    assert cut == [(0.0, 0.0, 0.0), (2.0, 1.0, 0.0), (7.0, 1.5, 0.5), (12.0, 1.5, -0.5), (17.0, 0.0, 0.0)]
+    for _, *command in cut:
+        env.curriculum.pin(command)
+
+
+def test_limits_of_riding_are_two_metres_a_second_either_way(env):
+    low, high = command_limits(env)
+    assert (low.tolist(), high.tolist()) == ([-2.0, -1.0], [2.0, 1.0])
+    assert within((low, high), DEFAULT_RIDE) == list(DEFAULT_RIDE)
 
 
 def test_a_fall_restarts_the_shown_robot(env):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchrl_atr.modules import leg_synergies
-from torchrl_atr.training import DEPLOYED, make_config, make_env, make_run_networks
+from torchrl_atr.training import DEPLOYED, ConfigError, make_config, make_env, make_run_networks
 from torchrl_atr.training.assembly import TOGETHER
 
 TRUTH = {("privileged", "intrinsic"), ("privileged", "extrinsic")}
@@ -33,6 +33,22 @@ def test_a_deployed_policy_starts_at_the_beginning_and_takes_any_command():
     start = env.reset()
     assert start["command"].tolist() == [[15.0, -2.0]] * 2
     assert not start["step_count"].any()
+
+
+@pytest.mark.parametrize(("largest", "bounds"), [(0.0, (1.5, 1.0)), (2.0, (2.0, 1.0)), (1.0, (1.5, 1.0))])
+def test_a_deployed_walker_takes_the_task_s_commands_and_those_it_was_trained_for(largest, bounds):
+    config = make_config({"task": "walking", "num_envs": 1, "max_speed": largest, "num_threads": 1})
+    assert make_env(config).curriculum.grid.bounds == (largest or 1.5, 1.0)
+    grid = make_env(config, **DEPLOYED).curriculum.grid
+    assert grid.bounds == bounds
+    assert grid.forward_only
+
+
+def test_a_part_that_the_task_does_not_have_is_refused_and_its_default_ignored():
+    config = make_config({"task": "walking", "transporter": "single_board", "num_envs": 1, "num_threads": 1})
+    assert "transporter" not in config.make_task().arguments
+    with pytest.raises(ConfigError, match="transporter='two_board': the task 'walking' has no transporter; leave it"):
+        make_env(config, transporter="two_board", **DEPLOYED)
 
 
 @pytest.mark.parametrize(

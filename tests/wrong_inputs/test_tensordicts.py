@@ -12,7 +12,8 @@ from torchrl.envs import TransformedEnv
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._registry import UnknownNameError
-from torchrl_atr.envs import RidingEnv, make_riding_env
+from torchrl_atr.envs import RidingEnv, make_env, make_riding_env
+from torchrl_atr.envs.tasks import make_task
 from torchrl_atr.envs.transforms import CommandCurriculum, ObservationHistory
 from torchrl_atr.modules import AssignActSource, Exploration, NetworkKeys, make_networks, register_estimator
 from torchrl_atr.objectives import ROAClipPPOLoss
@@ -24,6 +25,7 @@ NAN = float("nan")
 def given():
     """Two robots, their networks, a batch, its loss; ``step(name=value)`` steps the bare env with such entries."""
     base, env = (make(num_envs=2, num_threads=1, seed=0) for make in (RidingEnv, make_riding_env))
+    walker = make_env(make_task("walking"), num_envs=2, num_threads=1, seed=0)
     spec = env.observation_spec
     nets = make_networks(spec, env.action_spec, actor_cells=[8], critic_cells=[8], estimator_inputs=["odometry"])
     with torch.no_grad():
@@ -74,6 +76,27 @@ def _action(value=0.0, size=12):
             "pass what get_state() returned",
         ),
         (lambda g: g.env.curriculum.pin([20.0, 0.0]), InputError, "command [20.0, 0.0]", "within ±(15.0, 2.0)"),
+        (lambda g: g.walker.curriculum.pin([1.6, 0.0]), InputError, "command [1.6", "within ±(1.5, 1.0)"),
+        (lambda g: g.walker.curriculum.pin([-0.5, 0.0]), InputError, "command [-0.5, 0.0]", "within [0, 1.5] m/s"),
+        (
+            lambda g: g.walker.curriculum.pin([[0.5, 0.0], [-0.25, 1.0]]),
+            InputError,
+            "command [-0.25, 1.0] asks for a negative speed",
+            "within [0, 1.5] m/s",
+        ),
+        (
+            lambda g: g.walker.curriculum.load_weights(torch.ones(13, 9)),
+            ValueError,
+            "weights of speeds below zero",
+            "must be 0: the grid is forward_only",
+        ),
+        (lambda g: make_task("walkng"), UnknownNameError, "unknown task 'walkng'", "did you mean 'walking'?"),
+        (
+            lambda g: make_task("walking", transporter="two_board"),
+            InputError,
+            "the task 'walking' has no argument 'transporter'",
+            "there are",
+        ),
         (
             lambda g: g.with_transform(CommandCurriculum([1.0], thresholds=[0.8], tracking_keys=["quality"])),
             KeyError,

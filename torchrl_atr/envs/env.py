@@ -281,7 +281,7 @@ class QuadrupedEnv(EnvBase):
         """Restore a state of :meth:`get_state`: intrinsic parameters, simulation state and bookkeeping.
 
         Without ``emitted``, the last observations, a state of one's own making is observed anew: under the ``command``
-        (N, 2) that it may hold, with accelerations of zero.
+        (N, 2) that it may hold, with accelerations of zero and differences to the present state.
 
         Raises:
             KeyError: if an entry is missing.
@@ -292,8 +292,9 @@ class QuadrupedEnv(EnvBase):
         if bad := not_finite({key: value for key, value in state.items(True, True) if value.ndim == 2}):
             row, name = next(iter(bad.items()))
             raise InputError(f"state entry {name!r} is not finite for env id {row}; give a state of get_state()")
-        self.runner.set_state(dict(state.exclude("emitted").items()))
         emitted = state.get("emitted", None)
+        previous = self.runner.terms.reader.state if emitted is None else ()
+        self.runner.set_state(dict(state.exclude("emitted", *previous).items()))
         if emitted is None:
             self._emitted = self.runner.observe(self._command(state))
         else:

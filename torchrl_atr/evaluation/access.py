@@ -6,7 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import Compose, EnvBase, TransformedEnv
@@ -62,6 +64,22 @@ def command_owner(env: EnvBase) -> Any:
         "no transform of this env can pin commands; build it with make_riding_env, or add CommandCurriculum "
         "(or a transform of your own with pin(command) and unpin()) to it"
     )
+
+
+def command_limits(env: EnvBase, largest: tuple[float, float] = (2.0, 1.0)) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Return the lowest and the highest command, (2,) each, within ``largest`` and what the env's grid draws.
+
+    Example:
+        >>> from torchrl_atr.envs import make_env
+        >>> from torchrl_atr.envs.tasks import walking
+        >>> low, high = command_limits(make_env(walking(), num_envs=1))
+        >>> low.tolist(), high.tolist()
+        ([0.0, -1.0], [1.5, 1.0])
+    """
+    grid = getattr(command_owner(env), "grid", None)
+    high = np.array(largest) if grid is None else np.minimum(largest, grid.bounds)
+    backwards = 1.0 if grid is None or not grid.forward_only else 0.0
+    return 0.0 - high * (backwards, 1.0), high
 
 
 def _transforms(env: EnvBase) -> Iterator[Transform]:

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
@@ -15,7 +17,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr._interrupt import signals_held
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.evaluation.access import achieved_speeds, command_owner, deterministic
+from torchrl_atr.evaluation.access import achieved_speeds, command_limits, command_owner, deterministic
 from torchrl_atr.evaluation.rendering import CHASE, Picture
 
 Command = tuple[float, float, float]
@@ -54,7 +56,7 @@ def record_video(
     policy: TensorDictModuleBase,
     env: EnvBase,
     path: str | Path,
-    commands: Sequence[Command] = DEFAULT_RIDE,
+    commands: Sequence[Command] | None = None,
     seconds: float = 20.0,
     fps: float = 25.0,
     camera: str = CHASE,
@@ -69,7 +71,8 @@ def record_video(
         policy: writes the action.
         env: of :func:`~torchrl_atr.envs.make_riding_env`; its first robot is shown. Left unpinned.
         path: ``.mp4`` or ``.gif``.
-        commands: (second, c_v in m/s, c_ω in rad/s), in the order of time.
+        commands: (second, c_v in m/s, c_ω in rad/s), in the order of time; None for :data:`DEFAULT_RIDE`, cut to what
+            the env's grid draws.
         seconds: length.
         fps: pictures per second; the nearest whole number of control steps between pictures is taken.
         camera: ``"chase"`` or the name of a camera of the model.
@@ -87,6 +90,8 @@ def record_video(
         >>> record_video(networks.deployed_policy(), env, "ride.mp4")  # doctest: +SKIP
     """
     check_suffix(path)
+    if commands is None:
+        commands = within(command_limits(env), DEFAULT_RIDE)
     if not commands or not seconds >= CONTROL_DT or not fps > 0:
         raise InputError(
             f"a video of {seconds:g} s with {fps:g} pictures a second and {len(commands)} commands cannot be; give at "
@@ -129,6 +134,12 @@ def ride(
             command = upcoming
     finally:
         owner.unpin()
+
+
+def within(limits: tuple[ArrayLike, ArrayLike], commands: Sequence[Command]) -> list[Command]:
+    """Return the commands cut to the lowest and the highest one, (2,) each."""
+    pairs = [(begin, np.clip(command, *limits).tolist()) for begin, *command in commands]
+    return [(begin, speed, yaw_rate) for begin, (speed, yaw_rate) in pairs]
 
 
 def _caption(time: float, command: tuple[float, float], speeds: Sequence[float], falls: int) -> tuple[str, str]:

@@ -6,10 +6,12 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.evaluation.access import command_limits
 from torchrl_atr.evaluation.rendering import DisplayError, Mirror, has_display
 from torchrl_atr.evaluation.video import Command, ride
 
@@ -24,6 +26,7 @@ class Keyboard:
     Args:
         limits: largest |c_v| (m/s) and |c_ω| (rad/s).
         step: change per key press, m/s and rad/s.
+        lowest: smallest c_v and c_ω; None for the negative of ``limits``.
 
     Example:
         >>> keyboard = Keyboard()
@@ -34,8 +37,11 @@ class Keyboard:
 
     SPACE, RIGHT, LEFT, DOWN, UP = 32, 262, 263, 264, 265  # GLFW's codes
 
-    def __init__(self, limits: tuple[float, float] = (2.0, 1.0), step: tuple[float, float] = (0.25, 0.25)) -> None:
+    def __init__(
+        self, limits: ArrayLike = (2.0, 1.0), step: tuple[float, float] = (0.25, 0.25), lowest: ArrayLike | None = None
+    ) -> None:
         self.limits, self.step = np.array(limits), np.array(step)
+        self.lowest = -self.limits if lowest is None else np.array(lowest)
         self.command = np.zeros(2)
 
     def __call__(self, key: int) -> None:
@@ -44,7 +50,7 @@ class Keyboard:
         if key == self.SPACE:
             self.command = np.zeros(2)
         elif key in moves:
-            self.command = np.clip(self.command + self.step * moves[key], -self.limits, self.limits)
+            self.command = np.clip(self.command + self.step * moves[key], self.lowest, self.limits)
 
     def __len__(self) -> int:
         return 1
@@ -78,7 +84,8 @@ def play_viewer(
         )
     import mujoco.viewer
 
-    keyboard = Keyboard()
+    low, high = command_limits(env)
+    keyboard = Keyboard(high, lowest=low)
     mirror = Mirror(env)
     steps = _FOREVER if seconds is None else round(seconds / CONTROL_DT)
     asked: Sequence[Command] = keyboard if commands is None else commands  # type: ignore[assignment]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,13 +16,16 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl_atr import envs
 from torchrl_atr._compilation import compile_methods
 from torchrl_atr._registry import import_modules
+from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS
+from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import Exploration, NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.sizes import estimator_sizes
 from torchrl_atr.objectives import ROAClipPPOLoss
 from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.config_checks import ConfigError
 from torchrl_atr.training.env_access import attribute
 
 TOGETHER = 10
@@ -47,11 +51,18 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
     Args:
         config: of a run.
         **overrides: arguments of :func:`torchrl_atr.envs.make_env`, or of the task's function, to replace; those of
-            :data:`DEPLOYED` that the task does not have are left out.
+            :data:`DEPLOYED` that the task does not have are left out, and ``grid=None`` is the task's grid with the
+            run's bounds where those are wider.
+
+    Raises:
+        ConfigError: for a robot or a transporter that the task does not have.
     """
     import_modules(config.imports)  # a config that was sent to another process was checked in the first alone
     of_the_task = inspect.signature(TASKS.get(config.task)).parameters
     task = {name: overrides.pop(name) for name in list(overrides) if name in of_the_task}
+    for part in PARTS:
+        if part in overrides:
+            raise ConfigError(f"{part}={overrides[part]!r}: the task {config.task!r} has no {part}; leave it out")
     arguments: dict[str, Any] = {
         "num_envs": config.num_envs,
         "num_threads": config.num_threads or None,
@@ -68,8 +79,19 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
         "grid": config.grid,
     }
-    more = {name: value for name, value in overrides.items() if name not in TASK_ONLY}
-    return envs.make_env(config.make_task(**task), **{**arguments, **more})
+    arguments |= {name: value for name, value in overrides.items() if name not in TASK_ONLY}
+    made = config.make_task(**task)
+    if arguments["grid"] is None:
+        arguments["grid"] = _widened(made.command.grid, config.grid)
+    return envs.make_env(made, **arguments)
+
+
+def _widened(grid: CommandGrid | None, other: CommandGrid | None) -> CommandGrid | None:
+    """Return a grid with the bounds of another of the same bins where those are wider."""
+    if grid is None or other is None:
+        return grid
+    speed, yaw_rate = (max(pair) for pair in zip(grid.bounds, other.bounds, strict=True))
+    return dataclasses.replace(grid, bounds=(speed, yaw_rate))
 
 
 def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:

@@ -32,6 +32,7 @@ class TrainConfig:
         robot: name from the registry, or path of a ``.toml`` file that describes one (kept as an absolute path; a run
             copies the file and all that it needs, and stores the copy's path in the run folder).
         transporter: ``single_board`` or ``two_board`` in the robot's size, another registered name, or likewise a file.
+            Of a task without one it stays at its default; another value is refused.
         profile: name from the registry.
         estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
         imports: modules imported first, so that they can register estimators, robots and transporters of their own.

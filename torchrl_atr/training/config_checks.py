@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from inspect import signature
 from typing import TYPE_CHECKING
 
 import torch
 
 from torchrl_atr._errors import UserError
 from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.envs.tasks import TASKS
 from torchrl_atr.modules import SOURCES
 from torchrl_atr.training.ranges import RANGES
 
@@ -37,12 +39,24 @@ def check_settings(config: TrainConfig) -> None:
         if not low <= value <= high:  # nor is a NaN
             raise ConfigError(f"{name}={value!r} is out of range; choose a number in [{low:.10g}, {high:.10g}]")
     config.make_task()
+    _check_transporter(config)
     _check_networks(config)
     _check_times(config)
     _check_processes(config)
     _check_device(config.device)
     _check_schedules(config)
     _check_grid(config)
+
+
+def _check_transporter(config: TrainConfig) -> None:
+    if (
+        config.transporter != type(config).transporter
+        and "transporter" not in signature(TASKS.get(config.task)).parameters
+    ):
+        raise ConfigError(
+            f"transporter={config.transporter!r}: the task {config.task!r} has no transporter; leave it out, or take "
+            "task=riding"
+        )
 
 
 def _check_networks(config: TrainConfig) -> None:

@@ -8,7 +8,7 @@ from tensordict import TensorDict
 
 from torchrl_atr._compilation import compiler
 from torchrl_atr.envs import QuadrupedEnv, RewardTerm
-from torchrl_atr.envs.tasks import MemoryTerm, MemoryTermError, ObservationTerm, riding
+from torchrl_atr.envs.tasks import MemoryTerm, MemoryTermError, ObservationTerm, riding, walking
 
 COUNT = MemoryTerm(1, lambda c: c.memory["count"] + 1.0)
 EAGER_AND_COMPILED = [False, pytest.param(True, marks=pytest.mark.skipif(compiler() is None, reason="no compiler"))]
@@ -85,3 +85,11 @@ def test_a_start_of_its_own_sees_the_state_that_an_episode_begins_with():
 def test_a_term_that_cannot_be_used_is_named_before_the_first_step(memory, message):
     with pytest.raises(MemoryTermError, match=message):
         make(memory)
+
+
+@pytest.mark.parametrize("name", ["qpos", "steps", "foot_places", "emitted"])
+def test_a_name_that_the_state_has_already_is_refused(name):
+    """It would be saved and restored in the other's place."""
+    task = walking()
+    with pytest.raises(MemoryTermError, match=f"the memory term '{name}' has the name of a state entry; give it anoth"):
+        QuadrupedEnv(task.replace(memory={**task.memory, name: MemoryTerm(1, lambda c: c.command[:, :1])}), 1)

@@ -171,6 +171,9 @@ def test_merge_commutes_and_is_idempotent():
         ({"bounds": (1.0, 2.0, 3.0)}, "bounds must be two finite"),
         ({"bin_size": (0.0, 0.2)}, "bin_size must be"),
         ({"increment": 0.0}, "increment"),
+        ({"still": -0.1}, "still"),
+        ({"still": 0.5, "turning": 0.3, "straight": 0.3}, "add up to more than 1"),
+        ({"forward_only": 1}, "forward_only"),
     ],
 )
 def test_bad_settings_are_named(arguments, words):
@@ -200,3 +203,81 @@ def test_weights_are_cut_or_filled_up_around_rest():
     back = wide.fitted(cut)
     assert torch.equal(back[64:87, 4:17], cut)
     assert back.count_nonzero() == cut.count_nonzero()
+
+
+FORWARD = CommandGrid(
+    (1.5, 1.0), (0.25, 0.25), (1.5, 1.0), (0.25, 0.25), forward_only=True, still=0.1, turning=0.1, straight=0.15
+)
+
+
+def draw(grid: CommandGrid, weights: torch.Tensor, n: int = 20_000) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    return grid.sample(weights, torch.rand(n, grid.uniforms, dtype=torch.float64, generator=generator))
+
+
+def test_shares_that_stand_turn_or_go_straight_are_those_asked_for():
+    commands, cells = draw(FORWARD, FORWARD.initial_weights())
+    n, (speed, yaw_rate) = len(commands), (commands == 0).unbind(-1)
+    for drawn, share in ((speed & yaw_rate, 0.1), (speed & ~yaw_rate, 0.1), (~speed & yaw_rate, 0.15)):
+        assert abs(drawn.sum().item() / n - share) < 4 * math.sqrt(share * (1 - share) / n)
+    assert torch.equal(FORWARD.cell_of(commands), cells)  # what a success there counts for
+    for asked, bound in ((commands[speed & ~yaw_rate][:, 1], 1.0), (commands[~speed & yaw_rate][:, 0], 1.5)):
+        assert asked.abs().max() > 0.95 * bound  # from all of the box
+    assert set(cells[speed & yaw_rate].tolist()) == {int(FORWARD.cell_of(torch.zeros(2)))}
+
+
+def test_shares_are_exclusive_and_may_be_everything():
+    base = {**FORWARD.__dict__, "still": 0.0, "turning": 0.0, "straight": 0.0}
+    for name, zero in (("still", [True, True]), ("turning", [True, False]), ("straight", [False, True])):
+        grid = CommandGrid(**{**base, name: 1.0})
+        commands, _ = draw(grid, grid.initial_weights(), 200)
+        assert (commands == 0).all(0).tolist() == zero, name
+
+
+def test_a_forward_only_grid_draws_no_negative_speed_and_all_others():
+    weights = FORWARD.initial_weights()
+    assert weights[:6].sum() == 0
+    assert weights[6:].eq(1).all()
+    commands, _ = draw(FORWARD, weights)
+    assert commands[:, 0].min() == 0
+    assert commands[:, 0].max() > 1.45
+    assert commands[:, 1].min() < -0.95
+    assert FORWARD.area(weights) == pytest.approx((1.0, 1.5 * 2.0))
+    assert FORWARD.frontier(weights) == (1.5, 1.0)
+
+
+def test_no_success_ever_leaks_weight_to_negative_speeds():
+    grid = CommandGrid(**{**FORWARD.__dict__, "initial": (0.25, 0.25), "expansion": (0.75, 0.5)})
+    weights, generator = grid.initial_weights(), torch.Generator().manual_seed(0)
+    assert weights[:6].sum() == 0
+    for _ in range(30):
+        _, cells = grid.sample(weights, torch.rand(50, grid.uniforms, dtype=torch.float64, generator=generator))
+        new = grid.update(weights, cells)
+        assert new[:6].sum() == 0
+        assert (new >= weights).all()
+        weights = new
+    assert weights[6:].eq(1).all()
+    assert grid.area(weights)[0] == pytest.approx(1.0)
+    assert draw(grid, weights)[0][:, 0].min() == 0
+
+
+def test_weights_of_negative_speeds_are_refused_and_cut_from_another_grid_s():
+    with pytest.raises(ValueError, match="speeds below zero must be 0: the grid is forward_only"):
+        FORWARD.validate(torch.ones(FORWARD.shape))
+    both_ways = CommandGrid(**{**FORWARD.__dict__, "forward_only": False, "bounds": (2.0, 1.0)})
+    assert torch.equal(FORWARD.fitted(torch.ones(both_ways.shape)), FORWARD.initial_weights())
+
+
+def test_a_grid_without_shares_draws_as_before():
+    """Three numbers a command; the fourth that shares need changes none of the others."""
+    plain = CommandGrid(**{**FORWARD.__dict__, "forward_only": False, "still": 0.0, "turning": 0.0, "straight": 0.0})
+    shared = CommandGrid(**{**plain.__dict__, "still": 0.2})
+    assert (plain.uniforms, shared.uniforms) == (3, 4)
+    uniforms = torch.rand(500, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    uniforms[:, 3] = 0.9
+    weights = plain.initial_weights()
+    for one, other in zip(plain.sample(weights, uniforms[:, :3]), shared.sample(weights, uniforms), strict=True):
+        assert torch.equal(one, other)
+    low, high = plain.centres(plain.sample(weights, uniforms[:, :3])[1]).aminmax(dim=0)
+    assert low.tolist() == [-1.5, -1.0]
+    assert high.tolist() == [1.5, 1.0]

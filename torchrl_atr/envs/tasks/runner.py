@@ -11,6 +11,7 @@ from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.finite import as_float32, bad_rows
 from torchrl_atr.envs.tasks.intrinsic_parameters import RANDOMIZATIONS, Intrinsics, Randomization
+from torchrl_atr.envs.tasks.memory_terms import MemoryTermError
 from torchrl_atr.envs.tasks.reward_terms import TERMINATION
 from torchrl_atr.envs.tasks.sensor_errors import SensorErrors
 from torchrl_atr.envs.tasks.task import Task
@@ -23,6 +24,7 @@ The same for all joints, so that 0, the stand, is the middle of a squashed polic
 image; the committed A1 policy stays within it in 99 of 100 steps. Beyond it, actions are carried out as they are; the
 model clips joint targets at its control ranges, wherever they come from.
 """
+_BOOKKEEPING = ("x_int", "previous_action", "steps", "failed", "moving")
 
 
 class EpisodeRunner:
@@ -81,9 +83,16 @@ class EpisodeRunner:
         self.intrinsics = Intrinsics(task.intrinsics, self.scene)
         self.x_int = self.intrinsics.sample(n, "off", rng)
         self.terms = TaskTerms(task, self._reader, compiled)
+        self._check_names()
         self.memory: Memory = self.terms.no_memory
         self.sensor_errors = SensorErrors(self.terms.observations, n, rng)
         self.start_episodes(torch.arange(n), torch.zeros(n, len(task.command), dtype=torch.float32))
+
+    def _check_names(self) -> None:
+        """Refuse memory that would take the place of another entry of the state."""
+        for name in self.task.memory:
+            if name in (*_BOOKKEEPING, *self.engine.live_state, *self._reader.state, "command", "emitted"):
+                raise MemoryTermError(f"the memory term {name!r} has the name of a state entry; give it another name")
 
     @keeps_normal_tensors
     @torch.no_grad()
@@ -196,28 +205,34 @@ class EpisodeRunner:
 
     def get_state(self) -> dict[str, Tensor]:
         """Return simulation state (float64) and bookkeeping, copied."""
-        return {**self.engine.get_state(), **{name: value.clone() for name, value in self._bookkeeping().items()}}
+        own = {**self._bookkeeping(), **self._reader.state}
+        return {**self.engine.get_state(), **{name: value.clone() for name, value in own.items()}}
 
     def _bookkeeping(self) -> dict[str, Tensor]:
-        names = ("x_int", "previous_action", "steps", "failed", "moving")
-        return {**{name: getattr(self, name) for name in names}, **self.memory, **self.sensor_errors.state}
+        own = {name: getattr(self, name) for name in _BOOKKEEPING}
+        return {**own, **self.memory, **self.sensor_errors.state}
 
     @keeps_normal_tensors
     def set_state(self, state: dict[str, Tensor]) -> None:
         """Restore a :meth:`get_state`, of any engine: intrinsic parameters, simulation and bookkeeping.
 
+        What the state reader took differences to may be missing: they start anew then, from the present state.
+
         Raises:
-            KeyError: if an entry is missing.
+            KeyError: if another entry is missing.
             ValueError: if an entry's shape does not fit.
         """
+        previous = {name: state[name] for name in self._reader.state if name in state}
         for name, value in self.get_state().items():
+            if name in self._reader.state and name not in previous:
+                continue
             if name not in state:
                 raise KeyError(f"the state lacks {name!r}; pass what get_state() returned")
             if state[name].shape != value.shape:
                 got, needed = tuple(state[name].shape), tuple(value.shape)
                 raise ValueError(f"state entry {name!r} has shape {got}; this env needs {needed}")
         own = {name: state[name].to(value.dtype, copy=True) for name, value in self._bookkeeping().items()}
-        for name, value in own.items():
+        for name, value in {**own, **previous}.items():
             if value.ndim == 2 and (bad := bad_rows(value)):
                 raise InputError(f"state entry {name!r} is not finite in float32 for env ids {bad[:8]}; correct it")
         for held in (self.memory, self.sensor_errors.state):
@@ -228,3 +243,5 @@ class EpisodeRunner:
         self.engine.reset(rows, qpos, qvel, lambda fields: self.intrinsics.apply(fields, self.x_int))
         self.engine.set_state(dict(state))
         self._reader.forget()
+        for name, value in previous.items():
+            self._reader.state[name].copy_(value)

@@ -72,7 +72,8 @@ class StateReader:
     """Reads a :class:`QuadrupedState` out of an engine, with differences to the previous reading.
 
     A task with a state of its own subclasses it: :meth:`gather` for more of the engine's tensors, :meth:`velocities_of`
-    for more velocities to differentiate, :meth:`parts` for more fields of ``state_type``.
+    for more velocities to differentiate, :meth:`parts` for more fields of ``state_type``, :attr:`state` for what of the
+    previous reading cannot be read again later.
 
     Args:
         engine: any engine.
@@ -92,6 +93,14 @@ class StateReader:
         self._actuators = columns(layout.actuators)
         self._sensors, self._foot_sizes = layout.sensors, layout.foot_sizes
         self.velocities = self.velocities_of(self.gather())
+
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """What :meth:`forget` cannot read out of an engine's restored state, by name: live parts of ``velocities``.
+
+        Such as anything that was sensed: restored, sensors are of the present, not of where the last substep began.
+        """
+        return {}
 
     def forget(self, rows: Rows = slice(None)) -> None:
         """Start the differences of ``rows`` anew from the present state (after a reset or the like)."""

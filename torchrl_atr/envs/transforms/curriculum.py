@@ -151,15 +151,16 @@ class CommandCurriculum(OwnGenerator):
         It shows from the next reset or step on. Pinned rows never update the grid.
 
         Args:
-            command: ``(2,)`` for all rows or ``(*B, 2)``, m/s and rad/s, within the grid's bounds.
+            command: ``(2,)`` for all rows or ``(*B, 2)``, m/s and rad/s, within the grid's bounds; with no negative
+                speed where the grid is ``forward_only``.
             mask: bool ``(*B,)`` or ``(*B, 1)``: the rows to pin; all by default.
 
         Raises:
             RuntimeError: Outside an environment, whose batch size it needs.
-            ValueError: Wrong shape, not finite, or out of bounds.
+            ValueError: Wrong shape, not finite, out of bounds, or backwards where the grid is ``forward_only``.
         """
         self._make_rows()
-        self.rows.pin(command, self.grid.bounds, mask)
+        self.rows.pin(command, self.grid, mask)
 
     @keeps_normal_tensors
     @torch.no_grad()

@@ -134,7 +134,8 @@ class CommandGrid:
         """Return ``weights`` if they are weights of this grid.
 
         Raises:
-            ValueError: Wrong shape, a value outside [0, 1] or not finite, or no positive weight at all.
+            ValueError: Wrong shape, a value outside [0, 1] or not finite, no positive weight at all, or one of a speed
+                that is never drawn.
         """
         if tuple(weights.shape) != self.shape:
             raise ValueError(f"weights must have this grid's shape {self.shape}, got {tuple(weights.shape)}")
@@ -142,6 +143,8 @@ class CommandGrid:
             raise ValueError("weights must be finite and in [0, 1]")
         if not bool((weights > 0).any()):
             raise ValueError("weights must have at least one positive cell to draw commands from")
+        if not torch.equal(weights, self._allowed(weights)):
+            raise ValueError("weights of speeds below zero must be 0: the grid is forward_only")
         return weights
 
     def fitted(self, weights: Tensor) -> Tensor:
@@ -151,7 +154,7 @@ class CommandGrid:
             weights: of that grid, with odd numbers of cells along both axes.
 
         Returns:
-            ``shape``; all zero if that grid had no weight within these bounds.
+            ``shape``, without those of speeds that are never drawn; all zero if no weight was within these bounds.
 
         Example:
             >>> narrow, wide = CommandGrid(bounds=(2.0, 1.0)), CommandGrid()
@@ -159,7 +162,7 @@ class CommandGrid:
             True
         """
         rows, columns = ((own - other) // 2 for own, other in zip(self.shape, weights.shape, strict=True))
-        return functional.pad(weights, (columns, columns, rows, rows))
+        return self._allowed(functional.pad(weights, (columns, columns, rows, rows)))
 
     def centres(self, cells: Tensor) -> Tensor:
         """Commands at the centres of flat cell indices.
@@ -240,10 +243,11 @@ class CommandGrid:
         return torch.maximum(weights, other)
 
     def area(self, weights: Tensor) -> tuple[float, float]:
-        """Weighted area of the grid: as a fraction of its cells, and in (m/s)(rad/s) with edge cells cut."""
+        """Weighted area of the grid: as a fraction of the cells that may be drawn, and in (m/s)(rad/s), edges cut."""
         low, high = self._edges(torch.arange(weights.numel(), device=weights.device))
         sizes = (high - low).prod(-1).reshape(self.shape)
-        return float(weights.double().mean()), float((weights.double() * sizes).sum())
+        weights, cells_drawn = weights.double(), self._allowed(torch.ones_like(weights)).sum()
+        return float(weights.sum() / cells_drawn), float((weights * sizes).sum())
 
     def frontier(self, weights: Tensor) -> tuple[float, float]:
         """Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s) that can be drawn."""

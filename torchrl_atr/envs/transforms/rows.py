@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
+from torchrl_atr.envs.transforms.grid import CommandGrid
 
 _FIELDS = ("command", "cells", "elapsed", "sums", "pinned")
 
@@ -65,11 +66,11 @@ class CommandRows(nn.Module):
             raise ValueError(f"mask must be bool {tuple(self.batch)}, got {mask.dtype} {tuple(mask.shape)}")
         return mask.reshape(-1).to(self.pinned.device)
 
-    def pin(self, command: Tensor | Sequence[float], bounds: Sequence[float], mask: Tensor | None) -> None:
+    def pin(self, command: Tensor | Sequence[float], grid: CommandGrid, mask: Tensor | None) -> None:
         """Give the rows in ``mask`` this command, ``(2,)`` or ``(*B, 2)``, and keep it from being drawn anew.
 
         Raises:
-            ValueError: Wrong shape, not finite, or beyond ``bounds``.
+            ValueError: Wrong shape, not finite, beyond the grid's bounds, or backwards where that is never drawn.
         """
         assert self.batch is not None
         command = torch.as_tensor(command, dtype=self.command.dtype, device=self.command.device)
@@ -77,14 +78,21 @@ class CommandRows(nn.Module):
         if command.shape not in ((axes,), (*self.batch, axes)):
             allowed = f"({axes},) or {(*self.batch, axes)}"
             raise ValueError(f"command must have shape {allowed}, got {tuple(command.shape)}")
-        fits = (command.abs() <= command.new_tensor(bounds)).all(-1)
+        given = command.reshape(-1, axes)
+        fits = (given.abs() <= given.new_tensor(grid.bounds)).all(-1)
         if not bool(fits.all()):
-            wrong = command.reshape(-1, axes)[~fits.reshape(-1)][0].tolist()
             raise InputError(
-                f"command {wrong} must be finite and within ±{tuple(bounds)} (m/s, rad/s), the grid's bounds"
+                f"command {given[~fits][0].tolist()} must be finite and within ±{grid.bounds} (m/s, rad/s), the grid's "
+                "bounds"
+            )
+        backwards = given[:, 0] < 0.0
+        if grid.forward_only and bool(backwards.any()):
+            raise InputError(
+                f"command {given[backwards][0].tolist()} asks for a negative speed, and the grid is forward_only; give "
+                f"a speed within [0, {grid.bounds[0]:g}] m/s"
             )
         rows = self.mask(mask)
-        self.command = torch.where(rows[:, None], command.reshape(-1, axes), self.command)
+        self.command = torch.where(rows[:, None], given, self.command)
         self.cells = self.cells.masked_fill(rows, -1)
         self.pinned = self.pinned | rows
 

@@ -53,6 +53,11 @@ class WalkingStateReader(StateReader):
         """See :class:`~torchrl_atr.envs.tasks.state.StateReader`."""
         return {**super().gather(rows), "world_offset": single(self.engine.world_offset[rows])}
 
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`."""
+        return {"foot_places": self.velocities[:, -12:]}
+
     def velocities_of(self, readout: Readout) -> Tensor:
         """See :class:`~torchrl_atr.envs.tasks.state.StateReader`; the feet's places in the world follow."""
         places = self.foot_positions(readout)
