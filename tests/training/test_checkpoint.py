@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from torchrl_atr.training import CheckpointError, load_checkpoint, save_checkpoint
+from torchrl_atr.training.checkpoint import VERSION
 
 
 def test_round_trip_and_no_temporary_left(tmp_path):
@@ -66,7 +67,7 @@ def test_missing_and_foreign(tmp_path):
     with pytest.raises(CheckpointError, match="there is no checkpoint at"):
         load_checkpoint(tmp_path)
     torch.save({"version": 99}, tmp_path / "checkpoint.pt")
-    with pytest.raises(CheckpointError, match="checkpoint version 99; this code reads version 2"):
+    with pytest.raises(CheckpointError, match=f"checkpoint version 99; this code reads version {VERSION}"):
         load_checkpoint(tmp_path)
 
 

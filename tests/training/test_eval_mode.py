@@ -100,5 +100,5 @@ def test_a_ride_is_that_of_the_deployed_policy(trainer):
     for networks in (trainer.learner.networks, trainer.learner.networks):
         env = make_riding_env(num_envs=1, num_threads=1, seed=3)
         list(ride(networks.deployed_policy(), env, [(0.0, 0.5, 0.0)], 10))
-        rides.append(env.base_env.engine.qpos.copy())
+        rides.append(env.base_env.engine.qpos.clone())
     assert (rides[0] == rides[1]).all()

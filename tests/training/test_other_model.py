@@ -79,7 +79,7 @@ def test_another_transporter_is_no_excuse_for_another_robot(run, heavier, capsys
 
 
 def test_a_changed_transporter_does_not_matter_on_another(run, slower):
-    assert load_run(run, transporter="two_board", num_envs=1)[1].base_env.scene.transporter.name == "two_board_g1"
+    assert load_run(run, transporter="two_board", num_envs=1)[1].base_env.scene.support.spec.name == "two_board_g1"
     with pytest.raises(CheckpointError, match="another transporter"):
         load_run(run, robot="go1", num_envs=1)
 

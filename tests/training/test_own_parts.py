@@ -184,7 +184,6 @@ class Unsafe(Callback):
         ({**CARTS, "make_networks": lambda env: nn.Linear(1, 1)}, {}, "Linear, which lacks rollout_policy, .*docs/own"),
         ({**CARTS, "make_loss": lambda networks: nn.Linear(1, 1)}, {}, "Linear, which lacks policy_loss"),
         ({**CARTS, "make_loss": Extra}, {}, "no optimiser trains the loss's parameter 'weight'"),
-        ({**CARTS}, {"steering_emphasis": 2.0}, "the term 'steering_command', but .* are near, gentle"),
         ({"logger": "tensorboard"}, {}, "logger='tensorboard' lacks log_metrics; give one of torchrl.record"),
         ({"callbacks": [print]}, {}, "print> is not a Callback object"),
         ({"callbacks": Recorder()}, {}, "give a list of Callback"),
