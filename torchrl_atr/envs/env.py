@@ -173,7 +173,7 @@ class QuadrupedEnv(EnvBase):
         mirrored = {key: observations.reflection(key, self.scene) for key in observations.groups}
         if command.mirror is None:
             raise InputError(f"the command of task {self.task.name!r} has no mirror image; give it mirror=...")
-        mirrored["command"] = matrix(command.mirror, self.scene)
+        mirrored["command"] = matrix(command.mirror, self.scene, len(command), f"the command of {self.task.name!r}")
         mirrored["observation"] = torch.block_diag(mirrored["proprio"], mirrored["command"])
         mirrored["privileged", "intrinsic"] = self.runner.intrinsics.reflection
         return {**mirrored, "action": joints(self.scene)}
@@ -324,10 +324,11 @@ def _nested(values: dict[Any, Tensor]) -> dict[str, Any]:
     """Return nested keys as nested dictionaries."""
     nested: dict[str, Any] = {}
     for key, value in values.items():
-        if isinstance(key, tuple):
-            nested.setdefault(key[0], {})[key[1]] = value
-        else:
-            nested[key] = value
+        *path, last = key if isinstance(key, tuple) else (key,)
+        place = nested
+        for name in path:
+            place = place.setdefault(name, {})
+        place[last] = value
     return nested
 
 

@@ -94,5 +94,5 @@ def test_what_cannot_be_used_is_named_before_the_first_step():
         make(IntrinsicParameter(misspelt, (0.0, 1.0)))
     with pytest.raises(IntrinsicError, match=r"'loss' could not be applied: .*shape mismatch"):
         make(IntrinsicParameter(friction_loss, (0.0, 1.0), size=5))
-    with pytest.raises(IntrinsicError, match=r"'loss' is of \(2, 2\); the parameter has 1 components"):
+    with pytest.raises(IntrinsicError, match=r"'loss' is of \(2, 2\); it has 1 components"):
         make(IntrinsicParameter(misspelt, (0.0, 1.0), mirror=(1.0, -1.0)))

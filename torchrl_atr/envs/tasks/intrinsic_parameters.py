@@ -173,10 +173,6 @@ class Intrinsics:
     def _mirror(self, name: str) -> Tensor:
         part, mirror = self.slices[name], self.parameters[name].mirror
         size = part.stop - part.start
-        matrix = torch.eye(size, dtype=torch.float32) if mirror is None else mirrors.matrix(mirror, self.scene)
-        if tuple(matrix.shape) != (size, size):
-            raise IntrinsicError(
-                f"the mirror image of the intrinsic parameter {name!r} is of {tuple(matrix.shape)}; the parameter has "
-                f"{size} components"
-            )
-        return matrix
+        if mirror is None:
+            return torch.eye(size, dtype=torch.float32)
+        return mirrors.matrix(mirror, self.scene, size, f"the intrinsic parameter {name!r}", IntrinsicError)

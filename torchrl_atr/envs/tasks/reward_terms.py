@@ -95,7 +95,8 @@ class RewardFunction:
 
         Returns:
             ``reward`` (N, 1) and the scaled terms, (terms, N, 1) in the order of :attr:`terms`, float32 whatever a
-            function returned; they add up to ``reward`` unless what is below zero is clipped before termination is added (A17).
+            function returned; they add up to ``reward`` unless what is below zero is clipped before termination is
+            added (A17).
         """
         terms = torch.stack([term.function(context) for term in self.terms.values()]).to(self._weights.dtype)
         terms = terms.unsqueeze(-1) * self._weights
