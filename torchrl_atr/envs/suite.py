@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from torchrl_atr._checks import check_number
+from torchrl_atr._checks import check_kind, check_number
 from torchrl_atr.envs.models import build_scene
 from torchrl_atr.envs.physics.dmc import DmControlEngine, EnginePhysics
 from torchrl_atr.envs.physics.engine import DECIMATION
@@ -75,6 +75,7 @@ def load_task(
         time_limit: likewise.
         random: likewise.
     """
+    check_kind("task", task, Task, "a Task, such as walking('a1')")
     check_number("time_limit", time_limit, above=0.0)
     engine = DmControlEngine(build_scene(task.robot, task.support), task.hook)
     runner = EpisodeRunner(task, engine, randomization, torch.Generator())
