@@ -11,9 +11,11 @@ from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.finite import as_float32, bad_rows
 from torchrl_atr.envs.tasks.intrinsic_parameters import RANDOMIZATIONS, Intrinsics, Randomization
+from torchrl_atr.envs.tasks.memory_terms import MemoryTermError
 from torchrl_atr.envs.tasks.reward_terms import TERMINATION
 from torchrl_atr.envs.tasks.sensor_errors import SensorErrors
 from torchrl_atr.envs.tasks.task import Task
+from torchrl_atr.envs.tasks.task_checks import checked_start
 from torchrl_atr.envs.tasks.terms import Memory, Observed, StepOutcome, TaskTerms, with_command
 
 ACTION_LIMIT = 3.0
@@ -55,6 +57,8 @@ class EpisodeRunner:
             term that cannot be used; names it.
     """
 
+    _OWN_STATE = ("x_int", "previous_action", "steps", "failed", "moving")
+
     @keeps_normal_tensors
     def __init__(
         self,
@@ -83,6 +87,11 @@ class EpisodeRunner:
         self.terms = TaskTerms(task, self._reader, compiled)
         self.memory: Memory = self.terms.no_memory
         self.sensor_errors = SensorErrors(self.terms.observations, n, rng)
+        taken = {*engine.live_state, *self._OWN_STATE, "emitted"}
+        if clashing := [name for name in task.memory if name in taken]:
+            raise MemoryTermError(
+                f"the memory term {clashing[0]!r} has the name of another part of the state; rename it"
+            )
         self.start_episodes(torch.arange(n), torch.zeros(n, len(task.command), dtype=torch.float32))
 
     @keeps_normal_tensors
@@ -106,7 +115,7 @@ class EpisodeRunner:
             draw = torch.rand(n, generator=self.rng, dtype=torch.float32)
             again = self.failed[rows] & (draw < self.failed_episode_replay)
             x_int = torch.where(again.unsqueeze(-1), self.x_int[rows], x_int)
-        begun = self.task.reset(self.scene, command, self.rng)
+        begun = checked_start(self.task, self.task.reset(self.scene, command, self.rng), self.scene, n)
         self.engine.reset(rows, begun.qpos, begun.qvel, lambda fields: self.intrinsics.apply(fields, x_int))
         observed, velocities, memory = self.terms.first(self._reader.gather(rows), command, x_int)
         self._reader.velocities[rows] = velocities
@@ -137,10 +146,14 @@ class EpisodeRunner:
         self.engine.command(self._nominal + self.scene.robot.action_scale * self._action)
 
     def _disturb(self) -> None:
-        for disturbance in self.task.disturbances.values():
+        for name, disturbance in self.task.disturbances.items():
             due = ((self.steps % disturbance.steps == 0) & (self.steps > 0)).nonzero().squeeze(-1)
             if len(due):
-                disturbance.function(self.engine, due, self.rng)
+                try:
+                    disturbance.function(self.engine, due, self.rng)
+                except Exception as error:  # of the user's function
+                    reason = f"{type(error).__name__}: {error}"
+                    raise InputError(f"the disturbance {name!r} failed: {reason}") from error
 
     @keeps_normal_tensors
     @torch.no_grad()
@@ -199,8 +212,7 @@ class EpisodeRunner:
         return {**self.engine.get_state(), **{name: value.clone() for name, value in self._bookkeeping().items()}}
 
     def _bookkeeping(self) -> dict[str, Tensor]:
-        names = ("x_int", "previous_action", "steps", "failed", "moving")
-        return {**{name: getattr(self, name) for name in names}, **self.memory, **self.sensor_errors.state}
+        return {**{name: getattr(self, name) for name in self._OWN_STATE}, **self.memory, **self.sensor_errors.state}
 
     @keeps_normal_tensors
     def set_state(self, state: dict[str, Tensor]) -> None:

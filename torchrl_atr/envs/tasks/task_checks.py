@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import torch
+from torch import Tensor
+
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.robot import RobotSpec
+from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.models.support import Support
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.tasks.events import Disturbance
+from torchrl_atr.envs.tasks.events import Disturbance, InitialState
 from torchrl_atr.envs.tasks.state import StateReader
 
 if TYPE_CHECKING:
@@ -70,6 +74,25 @@ def check_components(names: Sequence[str], units: Sequence[str]) -> None:
             raise InputError(f"{argument}={value!r} of a command; give a tuple of texts, one for each component")
     if len(names) != len(units):
         raise InputError(f"the components {names} of a command have {len(units)} units; give {len(names)}")
+
+
+def checked_start(task: Task, begun: Any, scene: Scene, n: int) -> InitialState:
+    """Return what a task's ``reset`` returned for n episodes.
+
+    Raises:
+        InputError: if that is no :class:`~torchrl_atr.envs.tasks.events.InitialState` of n episodes in this scene.
+    """
+    if not isinstance(begun, InitialState):
+        raise _error(task, f"reset returned {type(begun).__name__}; return an InitialState(qpos, qvel, moving)")
+    shapes = {"qpos": (n, scene.model.nq), "qvel": (n, scene.model.nv), "moving": (n,)}
+    for field, shape in shapes.items():
+        value = getattr(begun, field)
+        got = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+        if got != shape or (field == "moving" and value.dtype != torch.bool):
+            kind = f" of {value.dtype}" if isinstance(value, Tensor) else ""
+            wanted = f"{'bool' if field == 'moving' else 'floats'} of {shape}"
+            raise _error(task, f"reset returned {field} of {got}{kind}; it must be {wanted}")
+    return begun
 
 
 def _error(task: Task, problem: str) -> InputError:
