@@ -40,7 +40,7 @@ def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp)
 
 @pytest.mark.parametrize(("final", "last"), [(1.0, 2.0), (3.0, 3.5), (5.0, 5.0)])
 def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay(final, last):
-    learner, env = small_learner(num_envs=4, steering_emphasis=5, final_emphasis=final, anneal_until=0.8)
+    learner, env = small_learner(num_envs=4, steering_weight_peak=5, steering_weight_end=final, anneal_until=0.8)
     config, rewards = learner.config, []
     policy, advantage = learner.networks.rollout_policy(config.act_source), learner.advantage
     with torch.no_grad():

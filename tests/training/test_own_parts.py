@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -168,6 +169,13 @@ class Unsafe(Callback):
         return {"an": object()}
 
 
+def scheduled_cart(**arguments):
+    """A cart whose task schedules a reward term that it does not have."""
+    env = make_cart(**arguments)
+    env.base_env.task = SimpleNamespace(reward_schedule={"steering_command": float})
+    return env
+
+
 @pytest.mark.parametrize(
     ("parts", "settings", "message"),
     [
@@ -184,7 +192,7 @@ class Unsafe(Callback):
         ({**CARTS, "make_networks": lambda env: nn.Linear(1, 1)}, {}, "Linear, which lacks rollout_policy, .*docs/own"),
         ({**CARTS, "make_loss": lambda networks: nn.Linear(1, 1)}, {}, "Linear, which lacks policy_loss"),
         ({**CARTS, "make_loss": Extra}, {}, "no optimiser trains the loss's parameter 'weight'"),
-        ({**CARTS}, {"steering_emphasis": 2.0}, "the term 'steering_command', but .* are near, gentle"),
+        ({**CARTS, "make_env": scheduled_cart}, {}, "the term 'steering_command', but .* are near, gentle"),
         ({"logger": "tensorboard"}, {}, "logger='tensorboard' lacks log_metrics; give one of torchrl.record"),
         ({"callbacks": [print]}, {}, "print> is not a Callback object"),
         ({"callbacks": Recorder()}, {}, "give a list of Callback"),
