@@ -118,5 +118,5 @@ def test_a_command_of_three_components_needs_transforms_of_its_own():
 
 @pytest.mark.parametrize("argument", [{"unscored_key": "x"}, {"tracking_max": (1.0, 1.0)}])
 def test_what_follows_from_the_task_is_no_argument(argument):
-    with pytest.raises(TypeError, match="sets .* of the curriculum itself, from the task; leave it out"):
+    with pytest.raises(TypeError, match=r"sets .* of the curriculum itself, from the task; leave it out"):
         make_env(WALKING, 2, **argument)
