@@ -34,7 +34,7 @@ class TrainConfig:
         transporter: ``single_board`` or ``two_board`` in the robot's size, another registered name, or likewise a file.
         profile: name from the registry.
         estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
-        imports: modules imported first, so that they can register estimators, robots and transporters of their own.
+        imports: modules imported first, so that they can register tasks, estimators, robots and transporters.
         num_envs: robots simulated at once.
         rollout_steps: control steps per robot and iteration.
         total_frames: robot steps after which training ends.
