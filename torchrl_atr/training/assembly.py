@@ -75,7 +75,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
 
 
 def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
-    """The networks that a configuration describes, sized by the env's specs.
+    """Return the networks that a configuration describes, sized by the env's specs.
 
     Raises:
         UnknownNameError: for an unregistered estimator.
@@ -149,7 +149,7 @@ def _optional(config: TrainConfig, setting: str, key: NestedKey, spec: Composite
 def make_run_loss(
     config: TrainConfig, networks: RidingNetworks, loss_class: type[ROAClipPPOLoss] = ROAClipPPOLoss, **more: Any
 ) -> ROAClipPPOLoss:
-    """The loss that a configuration describes.
+    """Return the loss that a configuration describes.
 
     Args:
         config: of a run.
@@ -196,7 +196,7 @@ def make_reward_schedule(config: TrainConfig, env: EnvBase) -> dict[str, Callabl
 
 
 def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
-    """The policy that a run collects with; it shares the networks."""
+    """Return the policy that a run collects with; it shares the networks."""
     actor = networks.rollout_policy(config.act_source, config.student_fraction)
     if config.compiles_networks and config.collector == "direct":  # what is compiled cannot be sent to workers
         compile_methods(actor.module[0], "forward")

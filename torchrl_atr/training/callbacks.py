@@ -193,7 +193,7 @@ class Callbacks:
         return terms
 
     def iteration(self, metrics: dict[str, float]) -> bool:
-        """Whether one of them ends the run; all are called."""
+        """Return whether one of them ends the run; all are called."""
         answers = [callback.on_iteration(metrics) for callback in self.calling("on_iteration")]
         return any(answers)
 

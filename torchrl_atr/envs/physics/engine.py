@@ -72,7 +72,7 @@ class ModelFields(dict[str, Tensor]):
 class Engine(ABC):
     """N simulations of one scene, advanced by control steps.
 
-    Subclasses provide the tensors below, each with a leading axis of N, and :meth:`_substep`.
+    Subclasses provide the tensors below, each with a leading axis of N, and the abstract methods.
 
     Args:
         scene: the compiled scene.
