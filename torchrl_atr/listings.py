@@ -41,11 +41,11 @@ def transporters() -> Iterator[str]:
 
     rows = [["transporter", "size, m", "mass, kg", "boards", "hinges", "springs, N m/rad"]]
     for name in TRANSPORTERS.names():
-        deck = TRANSPORTERS.get(name)
-        size = " x ".join(f"{side:g}" for side in deck.size)
-        hinges = ", ".join(hinge.name.removeprefix("platform_") for hinge in deck.design.hinges)
-        springs = ", ".join(f"{value:.1f}" for value in deck.springs(Readings())[0])
-        rows.append([name, size, f"{deck.mass:g}", str(len(deck.design.boards)), hinges, springs])
+        spec = TRANSPORTERS.get(name)
+        size = " x ".join(f"{side:g}" for side in spec.size)
+        hinges = ", ".join(hinge.name.removeprefix("platform_") for hinge in spec.design.hinges)
+        springs = ", ".join(f"{value:.1f}" for value in spec.springs(Readings())[0])
+        rows.append([name, size, f"{spec.mass:g}", str(len(spec.design.boards)), hinges, springs])
     yield from _table(rows)
     yield ""
     yield f"{' or '.join(DESIGNS)} alone means the one of the robot's size class (group)."

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs import ROBOTS, QuadrupedEnv, RidingEnv
+from torchrl_atr.envs import ROBOTS, QuadrupedEnv, RidingEnv, make_task
 from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.tasks import ObservationTerm, riding, walking
 from torchrl_atr.evaluation import replay
@@ -154,3 +154,16 @@ def test_what_is_no_dump_is_named(tmp_path):
     torch.save({"weights": torch.zeros(2)}, tmp_path / "other.pt")
     with pytest.raises(InputError, match=r"other\.pt is not a dump of a diverged simulation"):
         list(replay(tmp_path / "other.pt"))
+
+
+def test_a_failure_of_a_task_of_ones_own_is_replayed_whatever_its_arguments(tmp_path):
+    import examples.balance  # noqa: F401  # registers it; it has no pushes
+
+    env = QuadrupedEnv(make_task("balance"), num_envs=2, num_threads=1, seed=0, dump_dir=tmp_path)
+    td = env.reset()
+    for spoilt in (False, True):
+        env.engine.qvel[:, 0] *= float("nan") if spoilt else 1.0
+        td = env.step(td.set("action", torch.zeros(2, 12)))["next"]
+    *_, last = replay(next(tmp_path.iterdir()))
+    assert last.diverged
+    assert last.step == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -9,7 +10,9 @@ import torch
 from torchrl.envs import ParallelEnv, SerialEnv
 from torchrl.envs.utils import check_env_specs
 
-from torchrl_atr.envs import make_riding_env
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs import make_env, make_riding_env, walking
+from torchrl_atr.envs.tasks import CommandSpace
 
 small = partial(make_riding_env, num_envs=3, num_threads=1)
 
@@ -79,3 +82,41 @@ def test_it_does_not_leave_the_cpu():
         env.to("cuda")  # needs none: it is refused before anything moves
     assert env.to("cpu") is env
     assert env.rollout(2)["action"].device.type == "cpu"
+
+
+WALKING = walking("a1")
+
+
+def without_speeds():
+    return {key: group for key, group in WALKING.observations.items() if key != "speeds"}
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"tracking": ("forward_comand", "turning_command")}, "'forward_comand', which is not among its rewards"),
+        ({"tracking": ("forward_command", "slip")}, "'slip', which has no positive weight"),
+        ({"tracking": ("forward_command",)}, "name one reward term for each of speed, yaw_rate"),
+        ({"tracking": ()}, "name one reward term for each of speed, yaw_rate"),
+        ({"command": replace(WALKING.command, grid=None)}, "has no grid to be drawn from"),
+        ({"observations": without_speeds()}, "it observes no 'speeds', which runaway_margin needs"),
+    ],
+)
+def test_a_task_that_the_standard_transforms_do_not_fit_is_told_why(fields, message):
+    with pytest.raises(InputError, match=f"task 'walking': .*{message}.*around a QuadrupedEnv"):
+        make_env(WALKING.replace(**fields), 2, num_threads=1, runaway_margin=(1.0, 1.0))
+
+
+def test_a_command_of_three_components_needs_transforms_of_its_own():
+    command = CommandSpace(("x", "y", "yaw"), ("m/s", "m/s", "rad/s"), WALKING.command.grid)
+    rest = {name: term for name, term in WALKING.rewards.items() if name == "gait"}
+    observations = {"proprio": WALKING.observations["proprio"]}
+    task = WALKING.replace(command=command, rewards=rest, observations=observations, reward_schedule={})
+    with pytest.raises(InputError, match="its command has 3 components, and a command curriculum draws two"):
+        make_env(task, 2, num_threads=1)
+
+
+@pytest.mark.parametrize("argument", [{"unscored_key": "x"}, {"tracking_max": (1.0, 1.0)}])
+def test_what_follows_from_the_task_is_no_argument(argument):
+    with pytest.raises(TypeError, match=r"sets .* of the curriculum itself, from the task; leave it out"):
+        make_env(WALKING, 2, **argument)

@@ -12,7 +12,7 @@ from torchrl.envs.utils import check_env_specs
 
 from torchrl_atr.envs import QuadrupedEnv, suite
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.envs.tasks import riding, walking
+from torchrl_atr.envs.tasks import ObservationTerm, riding, walking
 
 
 @pytest.fixture(params=[riding, walking])
@@ -200,3 +200,14 @@ def test_the_floor_moves_back_under_a_board_that_rides():
     np.testing.assert_allclose(environment.physics.data.geom_xpos[floor, :2], -moved, atol=1e-9)
     environment.reset()
     np.testing.assert_array_equal(environment.physics.data.geom_xpos[floor, :2], [0.0, 0.0])
+
+
+def test_the_first_observation_has_the_errors_of_sensors_and_starts_may_move():
+    one = ObservationTerm(lambda c: torch.ones(1, 1), bias=1.0)
+    task = riding(pushes=False, moving_start=1.0).with_observation("proprio", one=one)
+    environment = suite.load_task(task, random=0)
+    environment.task.command = (1.0, 0.5)
+    first = environment.reset().observation
+    assert first["moving_start"].all()
+    assert first["proprio"][-1] != 1.0
+    assert environment.step(np.zeros(12)).observation["proprio"][-1] == first["proprio"][-1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from functools import partial
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -22,6 +23,7 @@ from tests.training.cart import (
 )
 from tests.training.states import differing
 from torchrl_atr.cli import main
+from torchrl_atr.envs.tasks import TASKS, riding
 from torchrl_atr.training import Callback, CheckpointError, ConfigError, Trainer, load_checkpoint, load_run, make_config
 
 SMALL = {
@@ -168,6 +170,43 @@ class Unsafe(Callback):
         return {"an": object()}
 
 
+class Misnamed(Callback):
+    in_keys = "reward"
+
+
+@pytest.mark.parametrize("config", [SMALL, "run.toml", None])
+def test_a_configuration_of_another_kind_is_refused(tmp_path, config):
+    with pytest.raises(ConfigError, match="give a TrainConfig, such as make_config"):
+        Trainer(config, tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("missing", "message"),
+    [
+        ("odometry", "dead_reckoning=true reads 'odometry', which the env does not have; set it to false"),
+        (("privileged", "outlook"), r"tracking_forecast=true reads \('privileged', 'outlook'\), which the env"),
+        (("privileged", "extrinsic"), "do not fit the task 'riding_less' .*give make_networks= too"),
+    ],
+)
+def test_a_task_that_lacks_what_a_setting_reads_is_named(tmp_path, monkeypatch, missing, message):
+    def less(robot="a1"):
+        task = riding(robot)
+        kept = {key: group for key, group in task.observations.items() if key != missing}
+        return task.replace(observations=kept)
+
+    monkeypatch.setitem(TASKS._entries, "riding_less", less)
+    with pytest.raises(ConfigError, match=message):
+        Trainer(make_config({**SMALL, "num_threads": 1, "task": "riding_less"}), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def scheduled_cart(**arguments):
+    """A cart whose task schedules a reward term that it does not have."""
+    env = make_cart(**arguments)
+    env.base_env.task = SimpleNamespace(reward_schedule={"steering_command": float})
+    return env
+
+
 @pytest.mark.parametrize(
     ("parts", "settings", "message"),
     [
@@ -184,6 +223,14 @@ class Unsafe(Callback):
         ({**CARTS, "make_networks": lambda env: nn.Linear(1, 1)}, {}, "Linear, which lacks rollout_policy, .*docs/own"),
         ({**CARTS, "make_loss": lambda networks: nn.Linear(1, 1)}, {}, "Linear, which lacks policy_loss"),
         ({**CARTS, "make_loss": Extra}, {}, "no optimiser trains the loss's parameter 'weight'"),
+        ({**CARTS, "make_env": scheduled_cart}, {}, "the term 'steering_command', but .* are near, gentle"),
+        (
+            {"make_networks": nn.Linear(1, 1)},
+            {},
+            r"make_networks=Linear\(...\) is what is to be made; give what makes it",
+        ),
+        ({"callbacks": [Misnamed()]}, {}, "in_keys='reward': give a list of keys .of the callback 'Misnamed'"),
+        ({"state": "runs/other"}, {}, r"state='runs/other'; give what load_checkpoint\(run\) returns"),
         ({"logger": "tensorboard"}, {}, "logger='tensorboard' lacks log_metrics; give one of torchrl.record"),
         ({"callbacks": [print]}, {}, "print> is not a Callback object"),
         ({"callbacks": Recorder()}, {}, "give a list of Callback"),

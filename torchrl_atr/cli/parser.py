@@ -74,10 +74,12 @@ def option(name: str) -> str:
 
 def build_parser() -> argparse.ArgumentParser:
     """The command line, every command with its help."""
-    parser = argparse.ArgumentParser(prog="torchrl-atr", description="Quadrupeds that ride personal transporters.")
+    parser = argparse.ArgumentParser(
+        prog="torchrl-atr", description="Quadrupeds that ride personal transporters, walk, and do tasks of your own."
+    )
     parser.add_argument("--version", action="version", version=f"torchrl-atr {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
-    _add_train(commands.add_parser("train", help="learn to ride; go on from a run with --resume"))
+    _add_train(commands.add_parser("train", help="train a policy; go on from a run with --resume"))
     _add_evaluate(commands.add_parser("evaluate", help="measure the deployed policy over a grid of commands"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
@@ -130,7 +132,7 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
-    text = "import it first: it may register robots, transporters and estimators of yours"
+    text = "import it first: it may register tasks, robots, transporters and estimators of yours"
     parser.add_argument("--import", dest="imports", action="append", metavar="MODULE", help=text)
 
 

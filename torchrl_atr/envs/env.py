@@ -18,7 +18,6 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.models import Scene, build_scene
 from torchrl_atr.envs.physics import DECIMATION, Engine, PhysicsEngine, make_engine
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
 from torchrl_atr.envs.specs import flag, nested, observation_spec, values
 from torchrl_atr.envs.tasks.finite import as_float32, not_finite
@@ -130,11 +129,6 @@ class QuadrupedEnv(EnvBase):
         return self.runner.scene
 
     @property
-    def readings(self) -> Readings:
-        """The paper's open questions as the task answers them."""
-        return self.task.readings
-
-    @property
     def model(self) -> mujoco.MjModel:
         """The compiled nominal scene; keyframe 0, ``stand``, is the robot standing in q0."""
         return self.scene.model
@@ -168,7 +162,7 @@ class QuadrupedEnv(EnvBase):
         mirrored = {key: observations.reflection(key, self.scene) for key in observations.groups}
         if command.mirror is None:
             raise InputError(f"the command of task {self.task.name!r} has no mirror image; give it mirror=...")
-        mirrored["command"] = matrix(command.mirror, self.scene)
+        mirrored["command"] = matrix(command.mirror, self.scene, len(command), f"the command of {self.task.name!r}")
         mirrored["observation"] = torch.block_diag(mirrored["proprio"], mirrored["command"])
         mirrored["privileged", "intrinsic"] = self.runner.intrinsics.reflection
         return {**mirrored, "action": joints(self.scene)}
@@ -256,8 +250,8 @@ class QuadrupedEnv(EnvBase):
         command = None if tensordict is None else tensordict.get("command", None)
         if command is None:
             return torch.zeros(shape, dtype=torch.float32)
-        names, units = ", ".join(self.task.command.names), ", ".join(self.task.command.units)
-        return as_float32("command", command, shape, f"({names})", f"give {units}")
+        asked = self.task.command
+        return as_float32("command", command, shape, f"({', '.join(asked.names)})", f"give {', '.join(asked.units)}")
 
     def _pack(self, terminated: Tensor, terms: dict[str, Tensor] | None = None, **more: Tensor) -> TensorDict:
         """Return what was observed last, with reward terms (None for zero), flags and ``more``."""

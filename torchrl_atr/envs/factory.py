@@ -87,14 +87,16 @@ def make_env(
         torch.Size([2, 2, 10, 46])
     """
     _check_arguments(curriculum, make_env)
+    _check_fixed(curriculum)
     env = QuadrupedEnv(
         task, num_envs, physics, randomization, num_threads, failed_episode_replay, seed, dump_dir, compiled
     )
     if grid is None and (grid := task.command.grid) is None:
-        raise InputError(
-            f"the command of task {task.name!r} has no grid to be drawn from; give it one, or put the transforms of "
-            "your choice around a QuadrupedEnv"
-        )
+        raise _unfit(task, "its command has no grid to be drawn from; give it one")
+    if len(task.command) != 2:
+        raise _unfit(task, f"its command has {len(task.command)} components, and a command curriculum draws two")
+    if runaway_margin is not None and "speeds" not in task.observations:
+        raise _unfit(task, "it observes no 'speeds', which runaway_margin needs; observe what answers the command")
     transforms = task_transforms(
         _tracking_max(env),
         history_length=history_length,
@@ -145,19 +147,30 @@ def make_riding_env(
 
 def _tracking_max(env: QuadrupedEnv) -> tuple[float, ...]:
     """Return what the tracking terms come to at no error; the curriculum's scores are shares of it."""
-    tracking_max = env.runner.terms.rewards.tracking_max
-    if not tracking_max:
-        raise RewardError(
-            f"task {env.task.name!r} names no tracking terms for the command curriculum to score; give it "
-            "tracking=..., or put the transforms of your choice around a QuadrupedEnv"
+    task, tracking_max = env.task, env.runner.terms.rewards.tracking_max
+    if len(tracking_max) != len(task.command):
+        raise _unfit(
+            task,
+            f"tracking={tuple(task.tracking)}; name one reward term for each of {', '.join(task.command.names)}, which "
+            "the command curriculum scores",
+            RewardError,
         )
     for name, value in tracking_max.items():
         if not value > 0:
-            raise RewardError(
-                f"the command curriculum scores the reward term {name!r}, which needs a positive weight; or put the "
-                "transforms of your choice around a QuadrupedEnv"
-            )
+            what = "has no positive weight" if name in task.rewards else "is not among its rewards"
+            raise _unfit(task, f"the command curriculum scores the reward term {name!r}, which {what}", RewardError)
     return tuple(tracking_max.values())
+
+
+def _unfit(task: Task, problem: str, error: type[InputError] = InputError) -> InputError:
+    alternative = "or put the transforms of your choice around a QuadrupedEnv"
+    return error(f"task {task.name!r}: {problem}; {alternative}")
+
+
+def _check_fixed(curriculum: Mapping[str, Any]) -> None:
+    for name in ("tracking_max", "tracking_keys", "unscored_key"):
+        if name in curriculum:
+            raise TypeError(f"make_env() sets {name!r} of the curriculum itself, from the task; leave it out")
 
 
 def _check_arguments(given: Mapping[str, Any], *functions: Any) -> None:

@@ -110,7 +110,7 @@ class Readings:
         True,
         "A12",
         "Table II's springs fit the small (G1) robots; ANYmal-C and Spot need 4.6 to 6.3 times as much\n"
-        "for the same k_SB over m g h, so the large (G2) decks carry five times the printed gains.",
+        "for the same k_SB over m g h, so the large (G2) boards carry five times the printed gains.",
         literal=False,
     )
     gains_as_ratios: bool = _reading(
@@ -163,13 +163,13 @@ class Readings:
         True,
         "A32",
         "r8 wants abrupt accelerations 'slightly' penalised. As printed it also charges a steady turn, v ω, and the\n"
-        "deck's wobble: -9 a second at an action noise of 0.2, against +16 for tracking. By default the drive's own.",
+        "board's wobble: -9 a second at an action noise of 0.2, against +16 for tracking. By default the drive's own.",
         literal=False,
     )
     tilt_limit: float = _reading(
         1.0,
         "A34",
-        "The paper ends an episode that 'risks flipping or falling'. The deck itself may tilt by 0.78 rad,\n"
+        "The paper ends an episode that 'risks flipping or falling'. The board itself may tilt by 0.78 rad,\n"
         "so 1.0 rad; the ancestors' 0.78 is meant for flat ground.",
         ancestor=0.78,
         low=0.05,

@@ -98,7 +98,7 @@ def describe_scene(task: Task, scene: Scene) -> dict[str, Any]:
 
 
 def _portable(name: str, folder: Path) -> str:
-    """A file relative to the dumps where both are of one run, so that it can be moved; else absolute."""
+    """Return a file relative to the dumps where both are of one run, so that it can be moved; else absolute."""
     if not is_spec_file(name):
         return name
     path, folder = Path(name).resolve(), folder.resolve()

@@ -41,12 +41,18 @@ def observation_spec(emitted: Mapping[NestedKey, Tensor], terms: Iterable[str]) 
     return spec
 
 
-def nested(values: dict[Any, Tensor]) -> dict[str, Any]:
-    """Return nested keys as nested dictionaries."""
-    nested: dict[str, Any] = {}
+def nested(values: Mapping[NestedKey, Any]) -> dict[str, Any]:
+    """Return nested keys as nested dictionaries.
+
+    Example:
+        >>> nested({"a": 1, ("b", "c", "d"): 2})
+        {'a': 1, 'b': {'c': {'d': 2}}}
+    """
+    root: dict[str, Any] = {}
     for key, value in values.items():
-        if isinstance(key, tuple):
-            nested.setdefault(key[0], {})[key[1]] = value
-        else:
-            nested[key] = value
-    return nested
+        *path, last = key if isinstance(key, tuple) else (key,)
+        place = root
+        for name in path:
+            place = place.setdefault(name, {})
+        place[last] = value
+    return root

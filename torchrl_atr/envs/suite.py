@@ -8,14 +8,14 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from torchrl_atr._checks import check_number
+from torchrl_atr._checks import check_kind, check_number
 from torchrl_atr.envs.models import build_scene
 from torchrl_atr.envs.physics.dmc import DmControlEngine, EnginePhysics
 from torchrl_atr.envs.physics.engine import DECIMATION
 from torchrl_atr.envs.tasks import Task, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 from torchrl_atr.envs.tasks.runner import ACTION_LIMIT, EpisodeRunner
-from torchrl_atr.envs.tasks.terms import StepOutcome
+from torchrl_atr.envs.tasks.terms import Observed, StepOutcome
 
 from dm_control.rl import control  # isort: skip  # after dmc, which says what to install
 from dm_env import specs  # isort: skip
@@ -75,6 +75,7 @@ def load_task(
         time_limit: likewise.
         random: likewise.
     """
+    check_kind("task", task, Task, "a Task, such as walking('a1')")
     check_number("time_limit", time_limit, above=0.0)
     engine = DmControlEngine(build_scene(task.robot, task.support), task.hook)
     runner = EpisodeRunner(task, engine, randomization, torch.Generator())
@@ -84,10 +85,10 @@ def load_task(
 class SuiteTask(control.Task):
     """Hands dm_control's calls on to the runner that ``QuadrupedEnv`` drives as well.
 
-    Observations are flat float32 arrays: ``proprio``, ``command``, ``observation`` (the two joined), ``odometry``;
-    and, not for a policy, ``speeds``, ``privileged_intrinsic``, ``privileged_extrinsic`` and ``privileged_outlook``.
-    Early termination has discount 0. Actions are bounded as those of ``RidingEnv`` are; larger ones are carried out up
-    to the joints' control ranges.
+    Observations are flat arrays: ``proprio``, ``command``, ``observation`` (the two joined) and the task's other groups
+    by their keys, nested ones joined, such as ``privileged_extrinsic`` (``privileged_...`` and ``speeds`` are not for a
+    policy). Early termination has discount 0. Actions are bounded as those of ``QuadrupedEnv`` are; larger ones are
+    carried out up to the joints' control ranges.
 
     Args:
         runner: of a :class:`~torchrl_atr.envs.physics.dmc.DmControlEngine`.
@@ -101,11 +102,12 @@ class SuiteTask(control.Task):
         self.runner = runner
         self._random = random if isinstance(random, np.random.RandomState) else np.random.RandomState(random)
         self._command = torch.zeros(1, len(runner.task.command), dtype=torch.float32)
+        self._first: Observed = runner.observe(self._command)  # whose shapes are asked for before an episode
         self._outcome: StepOutcome | None = None
 
     @property
     def command(self) -> NDArray[np.float32]:
-        """(c_v, c_ω), m/s and rad/s, until it is set anew; zero at first. An observation holds that of its step."""
+        """What is asked for, (C,), until it is set anew; zero at first. An observation holds that of its step."""
         return self._command[0].numpy().copy()
 
     @command.setter
@@ -123,35 +125,35 @@ class SuiteTask(control.Task):
         return {} if self._outcome is None else {name: float(value) for name, value in self._outcome.terms.items()}
 
     def initialize_episode(self, physics: EnginePhysics) -> None:
-        """Fresh intrinsics and initial state, drawn from this task's random state."""
+        """Draw fresh intrinsics and an initial state from this task's random state."""
         self.runner.rng.manual_seed(int(self._random.randint(2**31)))
-        self.runner.start_episodes(torch.arange(1), torch.zeros_like(self._command))
+        self._first = self.runner.start_episodes(torch.arange(1), self._command)
         self._outcome = None
 
     def before_step(self, action: ArrayLike, physics: EnginePhysics) -> None:
-        """Pushes that are due and the joint targets."""
+        """Apply disturbances that are due and the joint targets."""
         self.runner.apply_action(torch.as_tensor(np.array(action)).reshape(1, -1))
 
     def after_step(self, physics: EnginePhysics) -> None:
-        """Rewards and terminations, once per control step."""
+        """Compute rewards and terminations, once per control step."""
         self._outcome = self.runner.evaluate_step(self._command)
 
     def action_spec(self, physics: EnginePhysics) -> specs.BoundedArray:
-        """Joint displacements in units of the action scale, in the range of ``RidingEnv``'s spec."""
+        """Return bounds of joint displacements in units of the action scale: those of ``QuadrupedEnv``'s spec."""
         return specs.BoundedArray((self.runner.joints,), np.float64, -ACTION_LIMIT, ACTION_LIMIT, name="action")
 
     def get_observation(self, physics: EnginePhysics) -> dict[str, NDArray[np.float32]]:
-        """Flat names, one array each."""
-        observed = self.runner.observe(self._command) if self._outcome is None else self._outcome.observed
+        """Return what is observed, one array for each flat name."""
+        observed = self._first if self._outcome is None else self._outcome.observed
         return {_flat(key): value[0].numpy().copy() for key, value in observed.items()}
 
     def get_reward(self, physics: EnginePhysics) -> float:
-        """The sum of all terms."""
+        """Return the sum of all terms."""
         assert self._outcome is not None  # dm_control asks after a step
         return float(self._outcome.reward)
 
     def get_termination(self, physics: EnginePhysics) -> float | None:
-        """Discount 0 if the episode ended early, else None."""
+        """Return discount 0 if the episode ended early, else None."""
         return 0.0 if self._outcome is not None and bool(self._outcome.terminated) else None
 
 

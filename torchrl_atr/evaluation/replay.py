@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from torchrl_atr.envs import QuadrupedEnv, Readings, make_task
 from torchrl_atr.envs.models.identity import describe, differences, first_few
 from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
 from torchrl_atr.envs.recorder import load_dump
+from torchrl_atr.envs.tasks import TASKS
 from torchrl_atr.evaluation.rendering import Picture
 from torchrl_atr.evaluation.video import check_suffix, video_writer
 
@@ -26,7 +28,7 @@ class ReplayedStep:
 
     Attributes:
         step: since the start of the episode.
-        speed, yaw_rate: what answers the command after it, m/s and rad/s.
+        speed, yaw_rate: what answers the command after it, m/s and rad/s; NaN of a task that observes no ``speeds``.
         tilt: the larger of the body's roll and pitch, rad.
         largest_velocity: of all of MuJoCo's ``qvel`` after it, m/s or rad/s.
         largest_action: of the twelve, in units of the action scale.
@@ -86,7 +88,10 @@ def _scene(dump: dict[str, Any], path: Path) -> QuadrupedEnv:
         raise InputError(f"{path} was written by another version ({error}); replay it with that one") from error
     try:
         arguments = {name: scene[name] for name in scene.keys() - {"task", "readings", "model"}}
-        task = make_task(scene.get("task", "riding"), **arguments, profile=readings, pushes=False)
+        name = scene.get("task", "riding")
+        if "profile" in inspect.signature(TASKS.get(name)).parameters:
+            arguments["profile"] = readings
+        task = make_task(name, **arguments)
         env = QuadrupedEnv(task, num_envs=1, randomization="off", num_threads=1, seed=0)
     except UnknownNameError as error:
         raise InputError(f"{path}: {error}; if a module of yours registers it, give that with --import") from error
@@ -103,13 +108,14 @@ def _steps(env: QuadrupedEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:
     engine, states, actions = env.engine, dump["states"], dump["actions"]
     idle, reader = env.runner.get_state(), env.runner.terms.reader
     command = torch.zeros(1, len(env.task.command), dtype=torch.float32)
+    unknown = torch.full((1, 2), float("nan"))
     for index, action in enumerate(actions):
         begun = {name: value[index].unsqueeze(0) for name, value in states.items()}
         env.runner.set_state({**idle, **begun, "x_int": dump["x_int"].unsqueeze(0)})
         # any time but 0: MuJoCo starts it anew where it resets a simulation, which shows
         engine.set_time(torch.tensor([float(dump["step"])], dtype=torch.float64))
         engine.advance(DECIMATION)
-        speeds = env.runner.observe(command)["speeds"][0]
+        speeds = env.runner.observe(command).get("speeds", unknown)[0]
         last = index == len(actions) - 1
         yield ReplayedStep(
             step=dump["step"] - len(actions) + 1 + index,

@@ -89,7 +89,7 @@ def leg_synergies(joints: int = 3) -> Tensor:
 
     The columns are the four Hadamard patterns over the legs (common; then two legs against two, in three ways) for each
     joint of a leg. The first ``joints`` columns move all legs alike: they lean, shift and lift the body, which
-    is what tilts a deck; independent noise in twelve joints mostly strains the legs against each other.
+    is what tilts a board; independent noise in twelve joints mostly strains the legs against each other.
 
     Args:
         joints (int): joints of a leg; the actions are listed leg by leg, the legs in any order.

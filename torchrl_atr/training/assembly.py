@@ -11,6 +11,7 @@ import torch
 from tensordict import NestedKey
 from tensordict.nn import TensorDictSequential
 from torch import Tensor
+from torchrl.data import Composite
 from torchrl.envs import EnvBase, TransformedEnv
 
 from torchrl_atr import envs
@@ -95,29 +96,32 @@ def _widened(grid: CommandGrid | None, other: CommandGrid | None) -> CommandGrid
 
 
 def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
-    """The networks that a configuration describes, sized by the env's specs.
+    """Return the networks that a configuration describes, sized by the env's specs.
 
     Raises:
         UnknownNameError: for an unregistered estimator.
         EstimatorError: if it cannot be built.
+        ConfigError: if a setting asks for an entry that the env does not have.
     """
-    basis, keys = leg_synergies(), NetworkKeys()
+    basis, spec = leg_synergies(), env.observation_spec
     alike, joints = len(basis) // 4, len(basis)
     init_std = [config.init_std] * alike + [config.relative_std] * (joints - alike)
-    size = env.observation_spec["observation"].shape[-1]  # the command ends o_t
+    size = spec["observation"].shape[-1]  # the command ends o_t
+    critic_inputs: list[NestedKey] = []
+    if config.privileged_critic:
+        critic_inputs = _optional(config, "tracking_forecast", NetworkKeys.outlook, spec)
     return make_networks(
-        env.observation_spec,
+        spec,
         env.action_spec,
         estimator=config.estimator,
-        estimator_inputs=_estimator_inputs(config),
+        estimator_inputs=_estimator_inputs(config, spec),
         products=[(size - 2, size - 1)] if config.steering_cue else [],
         output_map=_output_map(init_std, basis),
         exploration=Exploration(joints, init_std, config.min_std, basis),
         critic_cells=config.critic_cells,
         privileged_critic=config.privileged_critic,
-        critic_inputs=[keys.outlook] if config.privileged_critic and config.tracking_forecast else [],
+        critic_inputs=critic_inputs,
         reflections=env.base_env.reflections if config.symmetric else None,
-        keys=keys,
     )
 
 
@@ -137,19 +141,36 @@ def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
     Raises:
         UnknownNameError: for an unregistered estimator.
         EstimatorError: if it cannot be trained or deployed; names it and the property that fails.
+        ConfigError: see :func:`make_run_networks`.
     """
-    sizes = estimator_sizes(env.observation_spec, estimator_inputs=_estimator_inputs(config))
+    spec = env.observation_spec
+    sizes = estimator_sizes(spec, estimator_inputs=_estimator_inputs(config, spec))
     check_registered(config.estimator, sizes.values())
 
 
-def _estimator_inputs(config: TrainConfig) -> list[NestedKey]:
-    return [NetworkKeys().odometry] if config.dead_reckoning else []
+def _estimator_inputs(config: TrainConfig, spec: Composite) -> list[NestedKey]:
+    return _optional(config, "dead_reckoning", NetworkKeys.odometry, spec)
+
+
+def _optional(config: TrainConfig, setting: str, key: NestedKey, spec: Composite) -> list[NestedKey]:
+    """Return the entry that a setting makes a network read, if it does.
+
+    Raises:
+        ConfigError: if the env has no such entry.
+    """
+    if not getattr(config, setting):
+        return []
+    if key not in spec.keys(True, True):
+        raise ConfigError(
+            f"{setting}=true reads {key!r}, which the env does not have; set it to false, or observe {key!r}"
+        )
+    return [key]
 
 
 def make_run_loss(
     config: TrainConfig, networks: RidingNetworks, loss_class: type[ROAClipPPOLoss] = ROAClipPPOLoss, **more: Any
 ) -> ROAClipPPOLoss:
-    """The loss that a configuration describes.
+    """Return the loss that a configuration describes.
 
     Args:
         config: of a run.
@@ -158,6 +179,7 @@ def make_run_loss(
         **more: further arguments of it.
 
     Example:
+        >>> from functools import partial
         >>> class MyLoss(ROAClipPPOLoss):
         ...     pass
         >>> make_loss = partial(make_run_loss, TrainConfig(), loss_class=MyLoss)  # of a Trainer
@@ -195,7 +217,7 @@ def make_reward_schedule(config: TrainConfig, env: EnvBase) -> dict[str, Callabl
 
 
 def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
-    """The policy that a run collects with; it shares the networks."""
+    """Return the policy that a run collects with; it shares the networks."""
     actor = networks.rollout_policy(config.act_source, config.student_fraction)
     if config.compiles_networks and config.collector == "direct":  # what is compiled cannot be sent to workers
         compile_methods(actor.module[0], "forward")

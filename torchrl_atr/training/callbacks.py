@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import torch
 from tensordict import NestedKey, TensorDictBase
 
-from torchrl_atr._errors import first_line
+from torchrl_atr._checks import check_keys
+from torchrl_atr._errors import InputError, first_line
 from torchrl_atr.training.checkpoint import CheckpointError
 from torchrl_atr.training.config_checks import ConfigError
 
@@ -133,7 +134,8 @@ class Callbacks:
         callbacks: each a :class:`Callback`.
 
     Raises:
-        ConfigError: if one is none, two have one name, or a state is more than tensors, numbers and texts.
+        ConfigError: if one is none, two have one name, ``in_keys`` are no list of keys, or a state is more than
+            tensors, numbers and texts.
     """
 
     def __init__(self, callbacks: Sequence[Callback] = ()) -> None:
@@ -143,6 +145,7 @@ class Callbacks:
         for callback in self._all:
             if not isinstance(callback, Callback):
                 raise ConfigError(f"callbacks: {callback!r} is not a Callback object; subclass torchrl_atr's Callback")
+            _check_in_keys(callback)
         names = [callback.name for callback in self._all]
         if doubled := [name for name in names if names.count(name) > 1]:
             raise ConfigError(f"two callbacks are called {doubled[0]!r}; give one another `name`")
@@ -190,7 +193,7 @@ class Callbacks:
         return terms
 
     def iteration(self, metrics: dict[str, float]) -> bool:
-        """Whether one of them ends the run; all are called."""
+        """Return whether one of them ends the run; all are called."""
         answers = [callback.on_iteration(metrics) for callback in self.calling("on_iteration")]
         return any(answers)
 
@@ -243,6 +246,13 @@ class Callbacks:
                     f"the callback {callback.name!r} cannot take its state from the checkpoint "
                     f"({type(error).__name__}: {first_line(error)}); give the one that the run was trained with"
                 ) from error
+
+
+def _check_in_keys(callback: Callback) -> None:
+    try:
+        check_keys("in_keys", callback.in_keys)
+    except InputError as error:
+        raise ConfigError(f"{error} (of the callback {callback.name!r})") from None
 
 
 def _overrides(callback: Callback, hook: str) -> bool:

@@ -35,7 +35,7 @@ class TrainConfig:
             Of a task without one it stays at its default; another value is refused.
         profile: name from the registry.
         estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
-        imports: modules imported first, so that they can register estimators, robots and transporters of their own.
+        imports: modules imported first, so that they can register tasks, estimators, robots and transporters.
         num_envs: robots simulated at once.
         rollout_steps: control steps per robot and iteration.
         total_frames: robot steps after which training ends.

@@ -27,7 +27,7 @@ def load_run(
     make_networks: NetworksFactory | None = None,
     **env_overrides: Any,
 ) -> tuple[TrainConfig, Any, Any, dict[str, Any]]:
-    """Config, env, networks as they are deployed, in eval mode, and the whole checkpoint of a run folder.
+    """Return config, env, networks as they are deployed, in eval mode, and the whole checkpoint of a run folder.
 
     Args:
         run: the folder.
@@ -66,7 +66,7 @@ def load_run(
 def _recipes_envs(
     config: TrainConfig, state: dict[str, Any], run: Path, overrides: dict[str, Any]
 ) -> tuple[EnvBase, EnvBase]:
-    """The env that is asked for, and one of the robot that the networks were trained with."""
+    """Return the env that is asked for, and one of the robot that the networks were trained with."""
     env = own = make_env(config, **{**LOADED, **overrides})
     replaced = [part for part in PARTS if part in overrides]
     if replaced:  # networks keep the symmetry of what they were trained on, wherever they ride

@@ -13,7 +13,7 @@ import torch
 from torch import nn
 from torchrl.envs import EnvBase
 
-from torchrl_atr._errors import first_line
+from torchrl_atr._errors import UserError, first_line
 from torchrl_atr.modules import get_estimator
 from torchrl_atr.training.assembly import check_run_estimator, make_env, make_run_networks
 from torchrl_atr.training.callbacks import Callbacks
@@ -34,6 +34,7 @@ NETWORKS_INTERFACE = (
     "critic_module",
     "encoder",
     "backbone",
+    "exploration",
     "critic",
     "estimator_parameters",
     "update_normalizers",
@@ -104,6 +105,8 @@ class Parts:
         for name, factory in self._factories.items():
             if not callable(factory):
                 raise ConfigError(f"{name}={factory!r} cannot be called; give a function, or a class")
+            if isinstance(factory, nn.Module):  # which can be called, and envs are modules
+                raise ConfigError(f"{name}={type(factory).__name__}(...) is what is to be made; give what makes it")
         if self.make_networks is None:
             get_estimator(config.estimator)
         sent: dict[str, Any] = {}
@@ -160,7 +163,7 @@ class Parts:
         """Return the networks of a run, on the CPU.
 
         Raises:
-            ConfigError: if the recipe's own do not fit an env of the user's, or the user's lack something.
+            ConfigError: if the recipe's own do not fit an env or a task of the user's, or the user's lack something.
             EstimatorError: if the estimator of the recipe's own cannot be trained.
         """
         if self.make_networks is not None:
@@ -168,16 +171,17 @@ class Parts:
             _check_interface("make_networks", networks, NETWORKS_INTERFACE, "RidingNetworks of make_networks")
             return networks
         recipes_env: Any = env
-        if self.make_env is None:
-            check_run_estimator(config, recipes_env)
-            return make_run_networks(config, recipes_env)
+        own = self.make_env is not None
         try:
             check_run_estimator(config, recipes_env)
             return make_run_networks(config, recipes_env)
         except (AttributeError, KeyError, RuntimeError, ValueError) as error:
+            if not own and (isinstance(error, UserError) or not isinstance(error, KeyError)):
+                raise
+            env_of = f"the env of {_full_name(self.make_env)}" if own else f"the task {config.task!r}"
             raise ConfigError(
-                f"the recipe's networks do not fit the env of {_full_name(self.make_env)} "
-                f"({type(error).__name__}: {first_line(error)}); give make_networks= too"
+                f"the recipe's networks do not fit {env_of} ({type(error).__name__}: {first_line(error)}); give "
+                "make_networks= too"
             ) from error
 
     def loss(self, config: TrainConfig, networks: Any) -> Any:

@@ -37,6 +37,10 @@ def check_given(
         CheckpointError: if a checkpoint lacks something, or parts that were its run's own are not given.
         ConfigError: if a part or the logger cannot be used, both runs are one, or the checkpoint is of other learners.
     """
+    if not isinstance(config, TrainConfig):
+        raise ConfigError(f"config={config!r}; give a TrainConfig, such as make_config({{'num_envs': 512}})")
+    if state is not None and not isinstance(state, Mapping):
+        raise ConfigError(f"state={state!r}; give what load_checkpoint(run) returns")
     parts.check(config)
     missing = [name for name in ("log_metrics", "log_hparams") if not hasattr(logger, name)]
     if logger is not None and missing:

@@ -67,7 +67,7 @@ RECIPE_POINTS: dict[str, Point] = {
     "smoothness_coeff": Point(
         "ours",
         "The paper's r11 and r12 weigh 1e-5 and 1e-7: nothing keeps a policy from chattering at 50 Hz, which lifts\n"
-        "feet off the deck. By default the loss pulls each mean action towards that of the step before.",
+        "feet off the board. By default the loss pulls each mean action towards that of the step before.",
         literal=0.0,
         ancestor=0.0,
     ),

@@ -105,7 +105,7 @@ def test_size_of_the_deck_follows_the_robot_unless_named():
     assert get_transporter("single_board_g2", A1).name == "single_board_g2"
     with pytest.raises(ValueError, match="unknown transporter 'unicycle'; known: single_board, two_board, single_"):
         get_transporter("unicycle", A1)
-    with pytest.raises(ValueError, match=r"'anymal_c'.*off the deck of 'single_board_g1'"):
+    with pytest.raises(ValueError, match=r"'anymal_c'.*off the surface of 'single_board_g1'"):
         build_scene(ROBOTS.get("anymal_c"), Transporter(TRANSPORTERS.get("single_board_g1")))
 
 

@@ -97,7 +97,7 @@ def test_a_fixed_support_stays_where_it_is():
 
 
 def test_a_support_too_small_for_the_robot_is_named():
-    with pytest.raises(RobotError, match=r"off the deck of 'stool' \(0.2 x 0.2 m\)"):
+    with pytest.raises(RobotError, match=r"off the surface of 'stool' \(0.2 x 0.2 m\)"):
         build_scene(ROBOTS.get("a1"), Plate("stool", (0.2, 0.2)))
 
 

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from torchrl_atr.envs import QuadrupedEnv
-from torchrl_atr.envs.tasks import IntrinsicError, IntrinsicParameter, Task, mirrors, riding
+from torchrl_atr.envs.physics import ModelFields
+from torchrl_atr.envs.tasks import IntrinsicError, IntrinsicParameter, Task, mirrors, riding, walking
 
 
 def friction_loss(fields, value, scene):
@@ -73,6 +74,10 @@ def test_ranges_and_nominal_are_those_that_were_given(randomization, ends):
         ({"train": (0.0, float("inf"))}, r"train=\(0.0, inf\)"),
         ({"train": (1.0,)}, r"train=\(1.0,\)"),
         ({"test": (1.0, 1.0)}, r"test=\(1.0, 1.0\)"),
+        ({"train": None}, "train=None of an intrinsic parameter is no range"),
+        ({"train": ("a", "b")}, r"train=\('a', 'b'\) of an intrinsic parameter is no range"),
+        ({"nominal": "mid"}, "nominal='mid': choose a number that is finite .of an intrinsic parameter"),
+        ({"size": True}, "size=True"),
         ({"size": 0}, "size=0"),
         ({"size": "legs"}, "size='legs'"),
         ({"apply": "friction"}, "apply='friction' of an intrinsic parameter cannot be called"),
@@ -81,6 +86,28 @@ def test_ranges_and_nominal_are_those_that_were_given(randomization, ends):
 def test_a_wrong_number_is_named_where_it_is_written(arguments, message):
     with pytest.raises(IntrinsicError, match=message):
         IntrinsicParameter(**{"apply": friction_loss, "train": (0.0, 1.0), **arguments})
+
+
+@pytest.mark.parametrize("physics", ["batch", "dm_control"])
+def test_a_task_without_any_has_an_empty_entry(physics):
+    task = walking("a1", pushes=False).replace(intrinsics={})
+    env = QuadrupedEnv(task, num_envs=1, physics=physics, num_threads=1, seed=0)
+    assert env.rollout(2)["privileged", "intrinsic"].shape == (1, 2, 0)
+    assert env.reflections["privileged", "intrinsic"].shape == (0, 0)
+
+
+def replaced(fields, value, scene):
+    fields["body_mass"] = value
+
+
+def test_what_is_assigned_to_a_field_is_written_into_it_if_it_has_its_shape():
+    with pytest.raises(IntrinsicError, match=r"'loss' could not be applied: .*'body_mass' is of \(3, .*not \(3, 1\)"):
+        make(IntrinsicParameter(replaced, (0.0, 1.0)))
+    fields, live = ModelFields({"geom_friction": torch.zeros(2, 3)}.__getitem__), torch.ones(2, 3)
+    before = fields["geom_friction"]
+    fields["geom_friction"] = live
+    assert fields["geom_friction"] is before
+    assert torch.equal(before, live)
 
 
 def misspelt(fields, value, scene):
@@ -94,5 +121,5 @@ def test_what_cannot_be_used_is_named_before_the_first_step():
         make(IntrinsicParameter(misspelt, (0.0, 1.0)))
     with pytest.raises(IntrinsicError, match=r"'loss' could not be applied: .*shape mismatch"):
         make(IntrinsicParameter(friction_loss, (0.0, 1.0), size=5))
-    with pytest.raises(IntrinsicError, match=r"'loss' is of \(2, 2\); the parameter has 1 components"):
+    with pytest.raises(IntrinsicError, match=r"'loss' is of \(2, 2\); it has 1 components"):
         make(IntrinsicParameter(misspelt, (0.0, 1.0), mirror=(1.0, -1.0)))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs import QuadrupedEnv
 from torchrl_atr.envs.tasks import ObservationError, ObservationTerm, Task, riding
 
@@ -46,7 +49,16 @@ def steps(env: QuadrupedEnv, count: int, key: str = "proprio") -> Tensor:
         (ObservationTerm(lambda c: c.action > 0), r"'mine' of 'proprio' returned \(3, 12\) of torch.bool"),
         (ObservationTerm(lambda c: 1.0), "'mine' of 'proprio' returned float"),
         (ObservationTerm(lambda c: c.state.nose), "'mine' of 'proprio' failed: AttributeError: .*nose"),
-        (ObservationTerm(height, mirror=(1.0, -1.0)), r"'mine' of 'proprio' is of \(2, 2\); the term has 1 components"),
+        (ObservationTerm(height, mirror=(1.0, -1.0)), r"'mine' of 'proprio' is of \(2, 2\); it has 1 components"),
+        (
+            ObservationTerm(height, mirror="x"),
+            "the mirror image of the observation term 'mine' of 'proprio' failed: TypeErr",
+        ),
+        (
+            ObservationTerm(height, mirror=1.0),
+            "the mirror image of the observation term 'mine' of 'proprio' failed: Runtime",
+        ),
+        (ObservationTerm(height, mirror=(2.0,)), "'mine' of 'proprio' is no signed permutation"),
     ],
 )
 def test_a_term_that_cannot_be_used_is_named_before_the_first_step(term, message):
@@ -58,7 +70,9 @@ def test_a_term_that_cannot_be_used_is_named_before_the_first_step(term, message
     ("mirror", "message"),
     [
         (None, "'mine' of 'proprio' has no mirror image; give it mirror=..., or train with symmetric=false"),
-        (lambda scene: torch.eye(5), r"'mine' of 'proprio' is of \(5, 5\); the term has 1 components"),
+        (lambda scene: torch.eye(5), r"'mine' of 'proprio' is of \(5, 5\); it has 1 components"),
+        (lambda scene: scene.nose, "'mine' of 'proprio' failed: AttributeError: .*nose"),
+        (lambda scene: None, "'mine' of 'proprio' failed"),
     ],
 )
 def test_a_term_without_a_mirror_image_of_its_size_is_named_by_whoever_needs_it(mirror, message):
@@ -66,6 +80,42 @@ def test_a_term_without_a_mirror_image_of_its_size_is_named_by_whoever_needs_it(
     env.rollout(1)
     with pytest.raises(ObservationError, match=message):
         _ = env.reflections
+
+
+def test_a_command_whose_mirror_image_is_of_another_size_is_named():
+    task = riding("a1", "single_board", pushes=False)
+    task = task.replace(command=dataclasses.replace(task.command, mirror=(1.0,)))
+    with pytest.raises(InputError, match=r"the command of 'riding' is of \(1, 1\); it has 2 components"):
+        _ = make(task).reflections
+
+
+@pytest.mark.parametrize(
+    ("key", "terms", "message"),
+    [
+        ("observation", {"mine": ObservationTerm(height)}, "'observation' is an entry of every env"),
+        ("command", {"mine": ObservationTerm(height)}, "'command' is an entry of every env"),
+        (("reward_terms", "mine"), {"mine": ObservationTerm(height)}, "is an entry of every env"),
+        (("privileged", "intrinsic"), {"mine": ObservationTerm(height)}, "is an entry of every env"),
+        (("proprio", "mine"), {"mine": ObservationTerm(height)}, "lies inside another group"),
+        (("mine",), {"mine": ObservationTerm(height)}, r"write the key \('mine',\) as 'mine'"),
+        (3, {"mine": ObservationTerm(height)}, "give a key: a text or a tuple of texts"),
+        ("mine", {}, "'mine' holds {}; give it ObservationTerms by name"),
+        ("mine", ObservationTerm(height), "give it ObservationTerms by name"),
+    ],
+)
+def test_a_group_that_no_env_can_hold_is_named(key, terms, message):
+    with pytest.raises(InputError, match=message):
+        make(STILL.replace(observations={**STILL.observations, key: terms}))
+
+
+def test_groups_nest_as_deep_as_one_likes():
+    env = make(STILL.with_observation(("mine", "seen", "height"), height=ObservationTerm(height)))
+    after = env.rollout(2)["next", "mine", "seen", "height"]
+    assert after.shape == (3, 2, 1) == (*env.observation_spec["mine", "seen", "height"].shape[:1], 2, 1)
+    state = env.get_state()
+    env.rollout(1)
+    env.set_state(state)
+    assert torch.equal(env.get_state()["emitted", "mine", "seen", "height"], after[:, -1])
 
 
 @pytest.mark.parametrize(

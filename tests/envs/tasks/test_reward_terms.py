@@ -52,6 +52,17 @@ def test_without_a_termination_term_nothing_but_the_sum_is_clipped(make_context)
     assert rewards.tracking_max == dict.fromkeys(TRACKING, 0.0)
 
 
+def test_rewards_are_float32_whatever_a_function_returns(make_context):
+    terms = {"double": RewardTerm(lambda c: c.action.sum(-1).double() + 1.0, 0.5), "half": RewardTerm(half, 1.0)}
+    reward, each = reward_function(make_context(), terms, rewards_times_dt=False)(make_context())
+    assert reward.dtype == each.dtype == torch.float32
+    assert each.flatten().tolist() == [0.5, 2.0]
+
+
+def half(c):
+    return torch.full((len(c.action),), 2.0, dtype=torch.float16)
+
+
 @pytest.mark.parametrize(
     ("terms", "message"),
     [

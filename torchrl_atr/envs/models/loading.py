@@ -23,7 +23,7 @@ def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     The robot itself stays as the file has it: bodies, inertias, joints with their damping, friction and limits, meshes,
     cameras, constraints. What surrounds or drives it goes: lights, floor and other bodies of the world, options,
     keyframes, sensors, actuators. Twelve position actuators of the spec's gains and torque limits come instead, in
-    the order of ``robot.joints``. Its geoms collide with the transporter only, and by the deck's contact parameters.
+    the order of ``robot.joints``. Its geoms collide with the transporter only, and by the support's contact parameters.
 
     Args:
         robot: the rider.

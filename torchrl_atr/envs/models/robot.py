@@ -45,8 +45,8 @@ class RobotSpec:
         kd: nominal PD damping, N m s/rad; the joints' own damping and friction in the MJCF come on top.
         torque_limits: of abduction, thigh and calf, N m.
         action_scale: joint displacement for a unit action, rad.
-        standing_height: h_des of the trunk's origin above the deck's top, m (reward r7).
-        min_height: height of the trunk's origin above the deck's top below which the robot has fallen, m.
+        standing_height: h_des of the trunk's origin above the support's surface, m (reward r7).
+        min_height: height of the trunk's origin above the support's surface below which the robot has fallen, m.
         group: size class of Table IV, ``"G1"`` or ``"G2"``; transporters are sized for one.
 
     Raises:

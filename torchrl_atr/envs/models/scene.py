@@ -177,11 +177,8 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
 
 def _add_sensors(spec: mujoco.MjSpec, feet: list[str], robot: RobotSpec, support: Support) -> None:
     """Add foot forces and positions, the contact force on the support, the robot's centre of mass: one array."""
-    force, netforce, one = (
-        1 << 1,
-        3,
-        1,
-    )  # what, how reduced, how many: a world-frame sum, zero without contact
+    # what, how reduced, how many: a world-frame sum, zero without contact
+    force, netforce, one = 1 << 1, 3, 1
 
     def add_force(name: str, objtype: mujoco.mjtObj, objname: str) -> None:
         spec.add_sensor(
@@ -213,7 +210,7 @@ def _add_sensors(spec: mujoco.MjSpec, feet: list[str], robot: RobotSpec, support
 
 
 def columns(addresses: np.ndarray) -> slice | np.ndarray:
-    """Addresses as a slice where they run on: a view where they would make a copy.
+    """Return addresses as a slice where they run on: a view where they would make a copy.
 
     Example:
         >>> columns(np.array([3, 4, 5])), columns(np.array([4, 3]))

@@ -1,4 +1,4 @@
-"""How a robot stands on a deck in q0: the pose of keyframe ``stand``, and what can be wrong with it."""
+"""How a robot stands on its support in q0: the pose of keyframe ``stand``, and what can be wrong with it."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ def standing_qpos(model: mujoco.MjModel, robot: RobotSpec, support: Support) -> 
         (nq,)
 
     Raises:
-        RobotError: if it stands upside down, on uneven feet, on feet in another order, beside the deck, or at another
-            height than it says.
+        RobotError: if it stands upside down, on uneven feet, on feet in another order, beside the surface, or at
+            another height than it says.
     """
     data = mujoco.MjData(model)
     root = int(model.joint(int(model.body(robot.trunk).jntadr[0])).qposadr[0])
@@ -108,13 +108,13 @@ def _check_level(soles: NDArray[np.float64], pitch: float, robot: RobotSpec) -> 
 def _check_height(height: float, robot: RobotSpec) -> None:
     if robot.min_height >= height:
         raise robot.error(
-            f"in q0 {robot.trunk!r} stands {height:.3f} m above the deck, below min_height={robot.min_height:g}: every "
-            "episode would end at once; give a lower min_height, in m"
+            f"in q0 {robot.trunk!r} stands {height:.3f} m above the surface, below min_height={robot.min_height:g}: "
+            "every episode would end at once; give a lower min_height, in m"
         )
     if not 0.5 * height < robot.standing_height < 1.5 * height:
         raise robot.error(
             f"standing_height={robot.standing_height:g}, but in q0 {robot.trunk!r} stands {height:.3f} m above the "
-            "deck; give about that, in m"
+            "surface; give about that, in m"
         )
 
 
@@ -125,6 +125,6 @@ def _check_on_surface(feet: NDArray[np.float64], robot: RobotSpec, support: Supp
     for (foot, *_), (x, y) in zip(robot.foot_names, feet):
         if abs(x) > length / 2 or abs(y) > width / 2:
             raise robot.error(
-                f"in q0 foot {foot!r} is off the deck of {support.name!r} ({length:g} x {width:g} m), {x:.2f} m "
+                f"in q0 foot {foot!r} is off the surface of {support.name!r} ({length:g} x {width:g} m), {x:.2f} m "
                 f"ahead and {y:.2f} m left of its pivot; choose a narrower q0, a larger transporter or group"
             )

@@ -38,7 +38,7 @@ class EnginePhysics(Physics):
     engine: DmControlEngine | None = None
 
     def step(self, nstep: int = 1) -> None:
-        """Advances by ``nstep`` substeps, each of the engine's hook and MuJoCo.
+        """Advance by ``nstep`` substeps, each of the engine's hook and MuJoCo.
 
         Raises:
             RuntimeError: if no engine drives this physics.
@@ -48,7 +48,7 @@ class EnginePhysics(Physics):
         self.engine.advance(nstep)
 
     def after_reset(self) -> None:
-        """Computes all derived quantities, with the actuators on: an episode starts with ctrl = q0."""
+        """Compute all derived quantities, with the actuators on: an episode starts with ctrl = q0."""
         mujoco.mj_forward(self.model.ptr, self.data.ptr)
 
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.scene import TIMESTEP, Scene, columns
-from torchrl_atr.envs.physics.hook import SubstepHook
+from torchrl_atr.envs.physics.hook import SubstepHook, check_hook
 
 DECIMATION = 4
 """Simulation substeps in a control step: 200 Hz and 50 Hz."""
@@ -31,17 +31,20 @@ _DIVERGED = columns(
     np.array([_WARNINGS.mjWARN_BADQPOS, _WARNINGS.mjWARN_BADQVEL, _WARNINGS.mjWARN_BADQACC, _WARNINGS.mjWARN_BADCTRL])
 )
 
+_STATE = ("qpos", "qvel", "ctrl", "warmstart", "world_offset")
+"""Attributes that make up an engine's state, besides its hook's."""
+
 
 class ModelFields(dict[str, Tensor]):
     """Fields of the compiled model, such as ``body_mass``, of several simulations, (N, ...) each.
 
-    A field is there from when it is first asked for.
+    A field is there from when it is first asked for; what is assigned to one is written into it.
 
     Args:
         expand: makes a field one per simulation, by name.
 
     Raises:
-        InputError: for a name that is no field which can differ between simulations.
+        InputError: for a name that is no field which can differ between simulations, or values of another shape.
     """
 
     def __init__(self, expand: Callable[[str], Tensor]) -> None:
@@ -50,7 +53,7 @@ class ModelFields(dict[str, Tensor]):
 
     def __missing__(self, name: str) -> Tensor:
         try:
-            self[name] = self._expand(name)
+            super().__setitem__(name, self._expand(name))
         except (ValueError, AttributeError, TypeError) as error:
             raise InputError(
                 f"{name!r} is no field of the compiled model that can differ between simulations; see mujoco.MjModel, "
@@ -58,11 +61,18 @@ class ModelFields(dict[str, Tensor]):
             ) from error
         return self[name]
 
+    def __setitem__(self, name: str, value: Tensor) -> None:
+        field = self[name]
+        if tuple(value.shape) != tuple(field.shape):
+            raise InputError(f"the field {name!r} is of {tuple(field.shape)}, not {tuple(value.shape)}")
+        if value is not field:  # as after an operation in place
+            field.copy_(value)
+
 
 class Engine(ABC):
     """N simulations of one scene, advanced by control steps.
 
-    Subclasses provide the tensors below, each with a leading axis of N, and :meth:`_substep`.
+    Subclasses provide the tensors below, each with a leading axis of N, and the abstract methods.
 
     Args:
         scene: the compiled scene.
@@ -108,6 +118,7 @@ class Engine(ABC):
         self._nominal: dict[str, Tensor] = {}
         self._make()
         self.hook = SubstepHook(self) if make_hook is None else make_hook(self)
+        check_hook(self.hook, num_envs, _STATE)
 
     @abstractmethod
     def _make(self) -> None:
@@ -204,8 +215,7 @@ class Engine(ABC):
     @property
     def live_state(self) -> dict[str, Tensor]:
         """The tensors that make up the state, not copied; stale after the next step."""
-        names = ("qpos", "qvel", "ctrl", "warmstart", "world_offset")
-        return {**{name: getattr(self, name) for name in names}, **self.hook.state}
+        return {**{name: getattr(self, name) for name in _STATE}, **self.hook.state}
 
     def get_state(self) -> dict[str, Tensor]:
         """Return everything a later :meth:`set_state` needs to continue bit for bit (parameters excepted)."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Collection
+from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
+
+from torchrl_atr._errors import InputError
 
 if TYPE_CHECKING:
     from torchrl_atr.envs.physics.engine import Engine
@@ -41,3 +44,26 @@ class SubstepHook:
 
     def lose(self, rows: Tensor) -> None:
         """Forget what was known of simulations that diverged, (N,) bool."""
+
+
+def check_hook(hook: Any, num_envs: int, taken: Collection[str]) -> None:
+    """Check what was made as the hook of an engine.
+
+    Args:
+        hook: what was made.
+        num_envs: N.
+        taken: names of the engine's own state.
+
+    Raises:
+        InputError: if it is no :class:`SubstepHook`, or its state has no rows for N robots or a name that is taken.
+    """
+    if not isinstance(hook, SubstepHook):
+        raise InputError(f"a task's hook made {hook!r} of an engine; give a subclass of SubstepHook")
+    name = type(hook).__name__
+    if not hasattr(hook, "state"):
+        raise InputError(f"the hook {name} has no state; call super().__init__(engine) in its __init__")
+    for entry, value in hook.state.items():
+        if entry in taken:
+            raise InputError(f"the hook {name} calls an entry of its state {entry!r}, as the engine does; rename it")
+        if not isinstance(value, Tensor) or value.shape[:1] != (num_envs,):
+            raise InputError(f"the hook {name}: its state {entry!r} must be a tensor of {num_envs} rows")

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from torchrl_atr._checks import check_number
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.scene import STAND, Scene
 from torchrl_atr.envs.physics.engine import CONTROL_DT, Engine
 from torchrl_atr.envs.tasks.context import StepContext
@@ -54,7 +55,7 @@ class Disturbance:
         interval: s between two of them, counted from the start of an episode.
 
     Raises:
-        InputError: if the interval is not at least a control step.
+        InputError: if the function cannot be called, or the interval is not at least a control step.
 
     Example:
         >>> Disturbance(push_robot, interval=3.0).steps
@@ -65,6 +66,8 @@ class Disturbance:
     interval: float
 
     def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise InputError(f"function={self.function!r} of a disturbance cannot be called; give a function")
         check_number("interval", self.interval, CONTROL_DT)
 
     @property

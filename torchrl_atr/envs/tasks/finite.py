@@ -1,4 +1,4 @@
-"""Which robots of a batch hold numbers that are none."""
+"""Find NaN and infinity in a batch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchrl_atr._errors import InputError
 
 
 def all_finite(values: Iterable[Tensor]) -> Tensor:
-    """Whether there is no NaN or infinity in any of them, for the price of one sum: a bool of shape ().
+    """Return whether there is no NaN or infinity in any of them, for the price of one sum: a bool of shape ().
 
     Example:
         >>> all_finite([torch.ones(2, 3), torch.tensor([[0.0], [float("nan")]])])
@@ -22,7 +22,7 @@ def all_finite(values: Iterable[Tensor]) -> Tensor:
 
 
 def bad_rows(value: Tensor) -> list[int]:
-    """Rows of an (N, features) entry that hold a NaN or an infinity; where there is none, mostly for one sum.
+    """Return rows of an (N, features) entry that hold NaN or infinity; where there is none, mostly for one sum.
 
     Example:
         >>> bad_rows(torch.tensor([[1.0], [float("nan")]])), bad_rows(torch.full((2, 3), 3e38))  # whose sum overflows
@@ -61,7 +61,7 @@ def as_float32(name: str, value: Tensor, shape: tuple[int, ...], what: str, reme
 
 
 def not_finite(values: Mapping[Any, Tensor]) -> dict[int, str]:
-    """Rows that hold a NaN or an infinity, with the entry where it shows first.
+    """Return rows that hold NaN or infinity, with the entry where it shows first.
 
     Args:
         values: by key, (N, features) each.

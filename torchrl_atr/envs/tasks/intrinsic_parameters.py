@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-from torchrl_atr._checks import check_choice
+from torchrl_atr._checks import check_choice, check_number
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import ModelFields
@@ -41,7 +41,7 @@ class IntrinsicParameter:
             :class:`~torchrl_atr.envs.tasks.observation_terms.ObservationTerm`. Unchanged by default.
 
     Raises:
-        IntrinsicError: if ``apply`` cannot be called or a range is none.
+        IntrinsicError: if ``apply`` cannot be called, a range is none, or ``size`` or ``nominal`` no number.
 
     Example:
         >>> def friction_loss(fields, value, scene):
@@ -63,18 +63,28 @@ class IntrinsicParameter:
             raise IntrinsicError(f"apply={self.apply!r} of an intrinsic parameter cannot be called; give a function")
         object.__setattr__(self, "test", self.test or self.train)
         for name in ("train", "test"):
-            ends = tuple(getattr(self, name))
-            if len(ends) != 2 or not -float("inf") < ends[0] < ends[1] < float("inf"):
+            if not _is_range(ends := getattr(self, name)):
                 raise IntrinsicError(f"{name}={ends} of an intrinsic parameter is no range; give two finite numbers")
-        if self.size != "joints" and (not isinstance(self.size, int) or self.size < 1):
+        if self.size != "joints" and (type(self.size) is not int or self.size < 1):
             raise IntrinsicError(f"size={self.size!r} of an intrinsic parameter; give a whole number or 'joints'")
-        if self.nominal is None:
-            object.__setattr__(self, "nominal", sum(self.train) / 2)
+        nominal = sum(self.train) / 2 if self.nominal is None else self.nominal
+        try:
+            object.__setattr__(self, "nominal", check_number("nominal", nominal))
+        except InputError as error:
+            raise IntrinsicError(f"{error} (of an intrinsic parameter)") from None
 
     def scaled(self, value: float) -> float:
         """Map the training range to [-1, 1]."""
         low, high = self.train
         return (2.0 * value - low - high) / (high - low)
+
+
+def _is_range(ends: Any) -> bool:
+    try:
+        low, high = (check_number("end", end) for end in ends)
+    except (TypeError, ValueError):
+        return False
+    return low < high
 
 
 class Intrinsics:
@@ -111,7 +121,7 @@ class Intrinsics:
             self.size += size
             if parameter.mirror is not None and not callable(parameter.mirror):
                 self._mirror(name)
-        sizes = torch.tensor([part.stop - part.start for part in self.slices.values()])
+        sizes = torch.tensor([part.stop - part.start for part in self.slices.values()], dtype=torch.long)
         ranges = torch.tensor([p.train for p in self.parameters.values()], dtype=torch.float64).reshape(-1, 2)
         self._train = ranges.repeat_interleave(sizes, 0).T  # (2, size)
         self._scaled = {kind: self._ends(kind, sizes) for kind in RANDOMIZATIONS}
@@ -168,15 +178,11 @@ class Intrinsics:
     @property
     def reflection(self) -> Tensor:
         """The mirror image R of x_int, (size, size)."""
-        return torch.block_diag(*(self._mirror(name) for name in self.parameters))
+        return torch.block_diag(*(self._mirror(name) for name in self.parameters)) if self.size else torch.zeros(0, 0)
 
     def _mirror(self, name: str) -> Tensor:
         part, mirror = self.slices[name], self.parameters[name].mirror
         size = part.stop - part.start
-        matrix = torch.eye(size, dtype=torch.float32) if mirror is None else mirrors.matrix(mirror, self.scene)
-        if tuple(matrix.shape) != (size, size):
-            raise IntrinsicError(
-                f"the mirror image of the intrinsic parameter {name!r} is of {tuple(matrix.shape)}; the parameter has "
-                f"{size} components"
-            )
-        return matrix
+        if mirror is None:
+            return torch.eye(size, dtype=torch.float32)
+        return mirrors.matrix(mirror, self.scene, size, f"the intrinsic parameter {name!r}", IntrinsicError)

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrl_atr._errors import InputError, UserError, first_line
 from torchrl_atr.envs.models.mirror import find_asymmetry
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS
 from torchrl_atr.envs.models.scene import Scene
@@ -22,18 +23,42 @@ FORWARD_YAW = (1.0, -1.0)
 """Signs of a forward speed and a yaw rate."""
 
 
-def matrix(mirror: Mirror, scene: Scene) -> Tensor:
+def matrix(mirror: Mirror, scene: Scene, size: int, what: str, error: type[InputError] = InputError) -> Tensor:
     """Return R, (D, D), float32.
+
+    Args:
+        mirror: see :data:`Mirror`.
+        scene: robot and support.
+        size: D.
+        what: whose mirror image it is, for messages.
+        error: what to raise.
+
+    Raises:
+        InputError: (or ``error``) names what has a mirror image of another size, or one that is none: R is a signed
+            permutation that undoes itself.
+        RobotError, TransporterError: see :func:`joints`.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene
         >>> scene = build_scene(ROBOTS.get("a1"), FlatGround())
-        >>> (matrix(FORWARD_YAW, scene) @ torch.tensor([1.0, 0.5])).tolist()
+        >>> (matrix(FORWARD_YAW, scene, 2, "the command") @ torch.tensor([1.0, 0.5])).tolist()
         [1.0, -0.5]
     """
-    if callable(mirror):
-        return mirror(scene)
-    return torch.diag(torch.tensor(mirror, dtype=torch.float32))
+    try:
+        made = mirror(scene) if callable(mirror) else torch.diag(torch.as_tensor(mirror, dtype=torch.float32))
+        image = torch.as_tensor(made, dtype=torch.float32)
+    except UserError:  # of a robot that is not symmetric
+        raise
+    except Exception as failure:  # of the user's function, or of what is no list of signs
+        reason = f"{type(failure).__name__}: {first_line(failure)}"
+        raise error(f"the mirror image of {what} failed: {reason}; give signs, or a function of the scene") from failure
+    if tuple(image.shape) != (size, size):
+        raise error(f"the mirror image of {what} is of {tuple(image.shape)}; it has {size} components")
+    if not (torch.equal(image.abs().sum(0), image.new_ones(size)) and torch.equal(image @ image, _eye(size))):
+        raise error(
+            f"the mirror image of {what} is no signed permutation that undoes itself; give signs of 1.0 or -1.0"
+        )
+    return image
 
 
 def legs(scene: Scene) -> Tensor:

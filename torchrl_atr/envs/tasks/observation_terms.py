@@ -6,15 +6,30 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
-from tensordict import NestedKey
+from tensordict import NestedKey, unravel_key
 from torch import Tensor
 
-from torchrl_atr._checks import check_number
+from torchrl_atr._checks import check_key, check_number
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.mirrors import Mirror
+
+INTRINSIC = ("privileged", "intrinsic")
+"""Key of the intrinsic parameters, which are data of their own."""
+RESERVED = (
+    "command",
+    "observation",
+    "moving_start",
+    "action",
+    "reward",
+    "reward_terms",
+    "done",
+    "terminated",
+    "truncated",
+)
+"""What every env reads or writes at its root besides the groups."""
 
 
 class ObservationError(InputError):
@@ -87,10 +102,12 @@ class Observations:
 
     Raises:
         ObservationError: names the term that is no :class:`ObservationTerm`, fails, does not return floats of shape
-            (N, D), or whose mirror image has another size.
+            (N, D), or whose mirror image has another size, or the group that is empty or has the key of an entry that
+            the env writes.
     """
 
     def __init__(self, groups: Mapping[NestedKey, Group], context: StepContext) -> None:
+        _check_groups(groups)
         self.groups = {key: dict(group) for key, group in groups.items()}
         self.sizes = {
             key: {name: _try(key, name, term, context) for name, term in group.items()}
@@ -133,7 +150,7 @@ class Observations:
                     f"the observation term {_place(key, name)} has no mirror image; give it mirror=..., or train with "
                     "symmetric=false"
                 )
-            parts.append(_checked(key, name, mirrors.matrix(term.mirror, scene), self.sizes[key][name]))
+            parts.append(_mirror(key, name, term.mirror, scene, self.sizes[key][name]))
         return torch.block_diag(*parts)
 
 
@@ -141,13 +158,23 @@ def _place(key: NestedKey, name: str) -> str:
     return f"{name!r} of {key!r}"
 
 
-def _checked(key: NestedKey, name: str, matrix: Tensor, size: int) -> Tensor:
-    if tuple(matrix.shape) != (size, size):
-        raise ObservationError(
-            f"the mirror image of the observation term {_place(key, name)} is of {tuple(matrix.shape)}; the term has "
-            f"{size} components"
-        )
-    return matrix
+def _mirror(key: NestedKey, name: str, mirror: Mirror, scene: Scene, size: int) -> Tensor:
+    return mirrors.matrix(mirror, scene, size, f"the observation term {_place(key, name)}", ObservationError)
+
+
+def _check_groups(groups: Mapping[NestedKey, Group]) -> None:
+    for key, group in groups.items():
+        check_key("the key of a group of observations", key)
+        if unravel_key(key) != key:
+            raise ObservationError(f"observations: write the key {key!r} as {unravel_key(key)!r}")
+        path = key if isinstance(key, tuple) else (key,)
+        if path[0] in RESERVED or key == INTRINSIC:
+            raise ObservationError(f"observations: {key!r} is an entry of every env; give the terms another key")
+        for i in range(1, len(path)):
+            if path[:i] in groups or (i == 1 and path[0] in groups):
+                raise ObservationError(f"observations: {key!r} lies inside another group; give it another key")
+        if not isinstance(group, Mapping) or not group:
+            raise ObservationError(f"observations: {key!r} holds {group!r}; give it ObservationTerms by name")
 
 
 def _try(key: NestedKey, name: str, term: ObservationTerm, context: StepContext) -> int:
@@ -167,5 +194,5 @@ def _try(key: NestedKey, name: str, term: ObservationTerm, context: StepContext)
         )
     size = value.shape[-1]
     if term.mirror is not None and not callable(term.mirror):
-        _checked(key, name, torch.diag(torch.as_tensor(term.mirror, dtype=torch.float32)), size)
+        _mirror(key, name, term.mirror, context.scene, size)
     return size

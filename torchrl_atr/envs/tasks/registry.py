@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+from torchrl_atr._checks import check_kind
 from torchrl_atr._errors import InputError
 from torchrl_atr._registry import Registry, nearest
 from torchrl_atr.envs.tasks.riding import riding
@@ -27,7 +28,7 @@ def make_task(name: str, **arguments: Any) -> Task:
 
     Raises:
         UnknownNameError: for an unknown task.
-        InputError: for an argument that the task does not have; names it.
+        InputError: for an argument that the task does not have, which is named, or a function that returns no task.
 
     Example:
         >>> make_task("riding", robot="go1").robot.name
@@ -38,4 +39,4 @@ def make_task(name: str, **arguments: Any) -> Task:
     for argument in arguments:
         if argument not in known:
             raise InputError(f"the task {name!r} has no argument {argument!r}; {nearest(argument, known)}")
-    return function(**arguments)
+    return check_kind(f"the task {name!r}", function(**arguments), Task, "a function that returns a Task")

@@ -94,10 +94,12 @@ class RewardFunction:
         """Compute all terms and their sum.
 
         Returns:
-            ``reward`` (N, 1) and the scaled terms, (terms, N, 1) in the order of :attr:`terms`; they add up to
-            ``reward`` unless what is below zero is clipped before termination is added (A17).
+            ``reward`` (N, 1) and the scaled terms, (terms, N, 1) in the order of :attr:`terms`, float32 whatever a
+            function returned; they add up to ``reward`` unless what is below zero is clipped before termination is
+            added (A17).
         """
-        terms = torch.stack([term.function(context) for term in self.terms.values()]).unsqueeze(-1) * self._weights
+        terms = torch.stack([term.function(context) for term in self.terms.values()]).to(self._weights.dtype)
+        terms = terms.unsqueeze(-1) * self._weights
         total = terms.sum(0)
         if self.readings.positive_rewards:
             names = list(self.terms)

@@ -106,5 +106,5 @@ def rotate_about(vector: Tensor, rotation_vector: Tensor) -> Tensor:
 
 
 def wrap(angle: Tensor) -> Tensor:
-    """The angle in (-π, π]."""
+    """Return the angle in (-π, π]."""
     return torch.atan2(torch.sin(angle), torch.cos(angle))

@@ -15,6 +15,7 @@ from torchrl_atr.envs.tasks.memory_terms import MemoryTermError
 from torchrl_atr.envs.tasks.reward_terms import TERMINATION
 from torchrl_atr.envs.tasks.sensor_errors import SensorErrors
 from torchrl_atr.envs.tasks.task import Task
+from torchrl_atr.envs.tasks.task_checks import checked_start
 from torchrl_atr.envs.tasks.terms import Memory, Observed, StepOutcome, TaskTerms, with_command
 
 ACTION_LIMIT = 3.0
@@ -115,7 +116,7 @@ class EpisodeRunner:
             draw = torch.rand(n, generator=self.rng, dtype=torch.float32)
             again = self.failed[rows] & (draw < self.failed_episode_replay)
             x_int = torch.where(again.unsqueeze(-1), self.x_int[rows], x_int)
-        begun = self.task.reset(self.scene, command, self.rng)
+        begun = checked_start(self.task, self.task.reset(self.scene, command, self.rng), self.scene, n)
         self.engine.reset(rows, begun.qpos, begun.qvel, lambda fields: self.intrinsics.apply(fields, x_int))
         observed, velocities, memory = self.terms.first(self._reader.gather(rows), command, x_int)
         self._reader.velocities[rows] = velocities
@@ -146,10 +147,14 @@ class EpisodeRunner:
         self.engine.command(self._nominal + self.scene.robot.action_scale * self._action)
 
     def _disturb(self) -> None:
-        for disturbance in self.task.disturbances.values():
+        for name, disturbance in self.task.disturbances.items():
             due = ((self.steps % disturbance.steps == 0) & (self.steps > 0)).nonzero().squeeze(-1)
             if len(due):
-                disturbance.function(self.engine, due, self.rng)
+                try:
+                    disturbance.function(self.engine, due, self.rng)
+                except Exception as error:  # of the user's function
+                    reason = f"{type(error).__name__}: {error}"
+                    raise InputError(f"the disturbance {name!r} failed: {reason}") from error
 
     @keeps_normal_tensors
     @torch.no_grad()

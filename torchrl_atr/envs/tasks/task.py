@@ -9,7 +9,7 @@ from typing import Any
 
 from tensordict import NestedKey
 
-from torchrl_atr._errors import InputError
+from torchrl_atr._checks import check_kind
 from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.support import Support
@@ -23,6 +23,7 @@ from torchrl_atr.envs.tasks.mirrors import Mirror
 from torchrl_atr.envs.tasks.observation_terms import Group
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
 from torchrl_atr.envs.tasks.state import StateReader
+from torchrl_atr.envs.tasks.task_checks import check_components, check_task
 from torchrl_atr.envs.transforms.grid import CommandGrid
 
 
@@ -35,13 +36,24 @@ class CommandSpace:
         units: of them.
         grid: from which a curriculum draws them, and its bounds; None for a command that only the user's own transforms
             draw.
-        mirror: its mirror image.
+        mirror: its mirror image, which symmetric networks need.
+
+    Raises:
+        InputError: if names or units are no tuples of texts, or not as many.
+
+    Example:
+        >>> len(CommandSpace(("speed", "yaw_rate"), ("m/s", "rad/s"), mirror=(1.0, -1.0)))
+        2
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     grid: CommandGrid | None = None
     mirror: Mirror | None = None
+
+    def __post_init__(self) -> None:
+        check_components(self.names, self.units)
+        check_kind("grid", self.grid, CommandGrid, "a CommandGrid", optional=True)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -75,7 +87,11 @@ class Task:
         arguments: plain values with which :func:`~torchrl_atr.envs.tasks.make_task` makes a task of the same name and
             scene again; empty for one that it does not know.
 
-    A term is added, dropped or changed by :meth:`replace`.
+    A term is added, dropped or changed by :meth:`replace`. What is read of the paper is in some fields already when a
+    task's function returns: other :attr:`readings` are an argument of that function, its ``profile``.
+
+    Raises:
+        InputError: for a field of another kind, or one that names a term that is none.
 
     Example:
         >>> from torchrl_atr.envs.tasks import RewardTerm, riding
@@ -107,18 +123,15 @@ class Task:
         for each in dataclasses.fields(self):
             if isinstance(value := getattr(self, each.name), Mapping):  # read-only views cannot be pickled or copied
                 object.__setattr__(self, each.name, dict(value))
-        if "proprio" not in self.observations:
-            raise InputError(f"task {self.name!r}: observations lack 'proprio'; give its terms")
-        if unknown := set(self.reward_schedule) - set(self.rewards):
-            raise InputError(
-                f"task {self.name!r}: reward_schedule names {sorted(unknown)[0]!r}, which is no reward term"
-            )
+        check_kind("command", self.command, CommandSpace, "a CommandSpace")
+        check_task(self)
 
     def replace(self, **fields: Any) -> Task:
         """Return the task with some fields replaced.
 
         Raises:
             TypeError: for a name that is no field.
+            InputError: see the class.
         """
         known = [each.name for each in dataclasses.fields(self)]
         for name in fields:

@@ -67,7 +67,7 @@ def riding(
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
-        ValueError: for an impossible ``moving_start``.
+        ValueError: for an impossible ``moving_start`` or steering weight.
 
     Example:
         >>> task = riding("go1", "two_board")
@@ -101,6 +101,8 @@ def riding(
 
 
 def _steering_schedule(peak: float, end: float, peak_at: float) -> dict[str, Callable[[float], float]]:
+    peak, end = check_number("steering_weight_peak", peak, 0.0), check_number("steering_weight_end", end, 0.0)
+    peak_at = check_number("steering_weight_peak_at", peak_at, high=1.0, above=0.0)
     if peak == end == 1.0:
         return {}
     return {"steering_command": partial(np.interp, xp=(0.0, peak_at, 1.0), fp=(1.0, peak, end))}

@@ -8,6 +8,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.boards import TransporterLayout
 from torchrl_atr.envs.models.scene import TIMESTEP, columns
 from torchrl_atr.envs.models.transporter import TransporterSpec
@@ -147,7 +148,8 @@ class DriveHook(SubstepHook):
     def __init__(self, engine: Engine) -> None:
         super().__init__(engine)
         support, layout = engine.scene.support, engine.scene.support_layout
-        assert isinstance(layout, TransporterLayout), "riding needs a Transporter as the scene's support"
+        if not isinstance(layout, TransporterLayout):
+            raise InputError(f"riding needs a Transporter to stand on, not {support.name!r}; give one as the support")
         self.law = DriveLaw(support.spec, support.readings)
         self._tilt, self._planar = columns(layout.tilt_qpos), columns(layout.planar_dof)
         self._heading, self._boards = int(layout.planar_qpos[2]), columns(layout.board_bodies)

@@ -54,7 +54,7 @@ def contact_maintenance(c: StepContext) -> Tensor:
 
 
 def height_maintenance(c: StepContext) -> Tensor:
-    """r7: |(p_B,z - p_P,z) - h_des|; h_des is given above the deck's top, p_P is its centre (A35)."""
+    """r7: |(p_B,z - p_P,z) - h_des|; h_des is given above the board's top, p_P is its centre (A35)."""
     desired = c.robot.standing_height + c.scene.support.spec.size[2] / 2
     return (c.state.position[:, 2] - c.state.platform_position[:, 2] - desired).abs()
 
@@ -64,7 +64,7 @@ def transporter_smoothness(c: StepContext) -> Tensor:
 
     The text wants abrupt transporter accelerations "slightly" penalised for their inertia effects. P's velocity
     changes in a steady turn too, by v ω: at 2 m/s one rad/s more costs 2 a second, of the 8 that it can earn, and
-    riders turn half as fast as they are told to. With the deck's roll and pitch in α_P the term is -9 a second at an
+    riders turn half as fast as they are told to. With the board's roll and pitch in α_P the term is -9 a second at an
     action noise of 0.2, against +16 for perfect tracking, and robots learn to end their episodes.
     """
     if c.readings.driven_smoothness:
@@ -118,7 +118,7 @@ def force_regulation(c: StepContext) -> Tensor:
 
 
 def collision_avoidance(c: StepContext) -> Tensor:
-    """r16: [something other than a foot touches the deck]."""
+    """r16: [something other than a foot touches the boards]."""
     return (c.state.other_force.norm(dim=-1) > CONTACT_THRESHOLD).to(c.action.dtype)
 
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.boards import BOARD_HEIGHT
 from torchrl_atr.envs.models.scene import columns
 from torchrl_atr.envs.physics.engine import Engine
@@ -57,6 +58,8 @@ class RidingStateReader(StateReader):
     state_type = RidingState
 
     def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        _ = self._hook  # one of another kind is refused here
         layout = engine.scene.support_layout
         self._planar_qpos, self._planar_dof = columns(layout.planar_qpos), columns(layout.planar_dof)
         self._heading = int(layout.planar_qpos[2])
@@ -69,8 +72,10 @@ class RidingStateReader(StateReader):
 
     @property
     def _hook(self) -> DriveHook:
-        assert isinstance(self.engine.hook, DriveHook), "a RidingState needs the engine's hook to be a DriveHook"
-        return self.engine.hook
+        hook = self.engine.hook
+        if not isinstance(hook, DriveHook):
+            raise InputError(f"a RidingState needs hook=DriveHook, not {type(hook).__name__}; give the task both")
+        return hook
 
     def gather(self, rows: Rows = slice(None)) -> Readout:
         """See :class:`~torchrl_atr.envs.tasks.state.StateReader`; the heading, which is unbounded, in [-π, π]."""

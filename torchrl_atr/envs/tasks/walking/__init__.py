@@ -8,7 +8,7 @@ from typing import Any
 
 from torch import Tensor, cat
 
-from torchrl_atr._checks import check_flag, check_number
+from torchrl_atr._checks import check_flag, check_kind, check_number
 from torchrl_atr.envs.models import FlatGround, RobotSpec, get_robot
 from torchrl_atr.envs.models.robot_file import describe_robot
 from torchrl_atr.envs.profiles import Readings, get_readings
@@ -57,6 +57,7 @@ def walking(
         ('walking', (1.5, 1.0))
     """
     check_flag("pushes", pushes)
+    check_kind("rewards", rewards, Mapping, "a mapping of names to RewardTerm")
     readings, walker = get_readings(profile), get_robot(robot)
     speed = MAX_SPEED[walker.group] if max_speed is None else check_number("max_speed", max_speed, above=0.0)
     bounds = (speed, 1.0)
