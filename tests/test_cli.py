@@ -21,6 +21,8 @@ TINY = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1",
         ("profiles", "literal"),
         ("estimators", "cnn_gru"),
         ("rewards", "termination"),
+        ("rewards", "turning_command"),
+        ("tasks", "walking"),
     ],
 )
 def test_list(capsys, what, expected):

@@ -90,12 +90,26 @@ def _made_by(factory: Any, net: Any) -> Any:
 
 
 def rewards() -> Iterator[str]:
-    """Reward terms in Table III's order."""
-    from torchrl_atr.envs.tasks import RIDING_REWARDS
+    """Yield the reward terms of every task, riding's in Table III's order."""
+    from torchrl_atr.envs.tasks import TASKS, make_task
 
-    rows = [["term", "weight", "meaning"]]
-    for name, term in RIDING_REWARDS.items():
-        rows.append([name, f"{term.weight:g}", _summary(term.function)])
+    for number, task in enumerate(TASKS):
+        rows = [[f"{task}: term", "weight", "meaning"]]
+        for name, term in make_task(task).rewards.items():
+            rows.append([name, f"{term.weight:g}", _summary(term.function)])
+        yield from ([""] if number else [])
+        yield from _table(rows)
+
+
+def tasks() -> Iterator[str]:
+    """Yield the registered tasks: what makes them, what a command asks for, what their docstring says."""
+    from torchrl_atr.envs.tasks import TASKS, make_task
+
+    rows = [["task", "made by", "command", "what it is"]]
+    for name in TASKS:
+        command = make_task(name).command
+        asked = ", ".join(f"{part} {unit}" for part, unit in zip(command.names, command.units))
+        rows.append([name, _origin(TASKS.get(name)), asked, _summary(TASKS.get(name))])
     return _table(rows)
 
 
@@ -141,6 +155,7 @@ def _summary(thing: Any) -> str:
 
 
 LISTINGS: dict[str, Callable[[], Iterable[str]]] = {
+    "tasks": tasks,
     "robots": robots,
     "transporters": transporters,
     "estimators": estimators,

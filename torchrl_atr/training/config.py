@@ -27,6 +27,9 @@ SEED_STRIDE = 1000
 class TrainConfig:
     """Everything a run depends on besides the code.
 
+    The defaults are riding's. :func:`make_config` also takes the settings of the ``task`` and the ``profile`` that
+    differ from them, as the command line does; this class does not.
+
     Attributes:
         task: name from the registry: ``riding``, ``walking`` or one of your own.
         robot: name from the registry, or path of a ``.toml`` file that describes one (kept as an absolute path; a run

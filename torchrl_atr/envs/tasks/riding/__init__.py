@@ -49,7 +49,7 @@ def riding(
     steering_weight_end: float = 1.0,
     steering_weight_peak_at: float = 1.0,
 ) -> Task:
-    """Return the riding task.
+    """Return the riding task: a robot on a transporter follows a forward speed and a yaw rate.
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.

@@ -39,7 +39,7 @@ def walking(
     max_speed: float | None = None,
     rewards: Mapping[str, RewardTerm] = WALKING_REWARDS,
 ) -> Task:
-    """Return the walking task.
+    """Return the walking task: a robot on flat ground follows a forward speed and a yaw rate.
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
