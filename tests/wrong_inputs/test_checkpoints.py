@@ -48,8 +48,8 @@ def _fill(value: float) -> Callable[[dict], object]:
 @pytest.mark.parametrize(
     ("change", "culprit", "remedy"),
     [
-        (lambda state: state.update(version=99), "version 99; this code reads version 2", "use the torchrl_atr"),
-        (lambda state: state.update(version=1), "version 1; this code reads version 2", "scripts/convert_run.py"),
+        (lambda state: state.update(version=99), "version 99; this code reads version 3", "use the torchrl_atr"),
+        (lambda state: state.update(version=1), "version 1; this code reads version 3", "scripts/convert_run.py"),
         (_drop("version"), "is not a checkpoint of ours", "give a run folder"),
         (_drop("learner", "networks"), "lacks 'learner/networks'", "give a folder that"),
         (_drop("config"), "lacks 'config'", "give a folder that"),

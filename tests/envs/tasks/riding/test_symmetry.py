@@ -21,11 +21,10 @@ def mirrored_simulation(env: RidingEnv, state: TensorDict) -> TensorDict:
     """The same robots in a mirror: by hand, in MuJoCo's own coordinates."""
     layout, support, out = env.scene.layout, env.scene.support_layout, state.clone()
     joints = env.reflections["action"].double()
-    roll = torch.tensor(
-        [[0.0, 1.0], [1.0, 0.0]]
-        if "right" in env.scene.support.spec.design.hinges[0].name
-        else [[1.0, 0.0], [0.0, -1.0]]
-    ).double()
+    hinges = env.scene.support.spec.design.hinges
+    swapped = torch.tensor([[0.0, 1.0], [1.0, 0.0]])  # right and left board
+    signs = torch.diag(torch.tensor([-1.0 if hinge.axis[0] else 1.0 for hinge in hinges]))  # a roll turns round
+    roll = (swapped if "right" in hinges[0].name else signs).double()
     qpos, qvel = state["qpos"].clone(), state["qvel"].clone()
     root, dof = layout.root_qpos, layout.root_dof
     qpos[:, root + 1] *= -1
@@ -50,6 +49,15 @@ def mirrored_simulation(env: RidingEnv, state: TensorDict) -> TensorDict:
 
 @pytest.mark.parametrize(("robot", "transporter"), PAIRS)
 def test_a_mirrored_ride_looks_mirrored(robot, transporter):
+    ride_and_reflect(robot, transporter)
+
+
+@pytest.mark.usefixtures("skateboard")
+def test_a_mirrored_ride_on_a_transporter_of_ones_own_looks_mirrored():
+    ride_and_reflect("a1", "skateboard", speed=1.0)
+
+
+def ride_and_reflect(robot: str, transporter: str, speed: float = 0.0) -> None:
     """Physics, observations, rewards: what a reflected robot does when it acts reflected, step by step."""
     env, other = (RidingEnv(robot, transporter, num_envs=4, pushes=False, seed=seed) for seed in (0, 1))
     mirror = env.reflections
@@ -57,6 +65,8 @@ def test_a_mirrored_ride_looks_mirrored(robot, transporter):
     other.reset()
     state = env.get_state().exclude("emitted")
     state["warmstart"] = torch.zeros_like(state["warmstart"])
+    state["speeds"][:, 0] += speed
+    state["qvel"][:, [env.scene.support_layout.planar_dof[0], env.scene.layout.root_dof]] += speed
     env.set_state(state)
     other.set_state(mirrored_simulation(env, state))
     generator = torch.Generator().manual_seed(0)
