@@ -41,6 +41,8 @@ def case(request):
 def make(case, request):
     """``make(seed)``: an env of the case; one robot on dm_control, three on the batch engine."""
     (name, parts), physics = case, request.param
+    if physics == "dm_control":
+        pytest.importorskip("dm_control")
 
     def build(seed: int = 0) -> QuadrupedEnv:
         num_envs = 1 if physics == "dm_control" else 3
