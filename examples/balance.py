@@ -13,10 +13,10 @@ from torchrl_atr.envs.models import Support, get_robot
 from torchrl_atr.envs.models.support import touch
 from torchrl_atr.envs.physics import SubstepHook
 from torchrl_atr.envs.profiles import get_readings
-from torchrl_atr.envs.tasks import TASKS, CommandSpace, ObservationTerm, RewardTerm, Task, mirrors
+from torchrl_atr.envs.tasks import TASKS, CommandSpace, ObservationTerm, RewardTerm, Task
 from torchrl_atr.envs.tasks.events import tilted, too_low
 from torchrl_atr.envs.tasks.parameters import robot_parameters
-from torchrl_atr.envs.tasks.proprioception import LEG_NAMES, PROPRIO, body_velocity, contacts
+from torchrl_atr.envs.tasks.proprioception import BODY, PROPRIO
 from torchrl_atr.envs.tasks.tracking import tracking_kernel
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.training.recipes import TASK_SETTINGS
@@ -95,8 +95,7 @@ def balance(robot="a1", profile="default"):
             "proprio": {**PROPRIO, "place": ObservationTerm(place, mirror=(1.0, -1.0))},
             "speeds": {"place": ObservationTerm(place, mirror=(1.0, -1.0))},
             ("privileged", "extrinsic"): {
-                "contacts": ObservationTerm(contacts, mirrors.legs, parts=LEG_NAMES),
-                "body_velocity": ObservationTerm(body_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
+                **BODY,
                 "plate_tilt": ObservationTerm(plate_tilt, mirror=(-1.0, 1.0), parts=("roll", "pitch")),
             },
         },

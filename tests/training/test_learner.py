@@ -21,7 +21,7 @@ from torchrl_atr.training import (
 def small_learner(**settings):
     config = make_config({"num_envs": 2, "rollout_steps": 2, "num_threads": 1, "minibatches": 1, **settings})
     env = make_env(config)
-    return Learner(make_run_networks(config, env), config, reward_schedule=make_reward_schedule(config, env)), env
+    return Learner(make_run_networks(config, env), config, reward_schedule=make_reward_schedule(env)), env
 
 
 @pytest.mark.parametrize("ramp", [False, True])

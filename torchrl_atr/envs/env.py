@@ -103,12 +103,11 @@ class QuadrupedEnv(EnvBase):
         compiled: bool = False,
     ) -> None:
         num_envs = check_whole("num_envs", num_envs, low=1)
-        seed = check_whole("seed", seed, high=2**63 - 1, optional=True)
         check_kind("dump_dir", dump_dir, (str, Path), "the path of a folder", optional=True)
         check_kind("task", task, Task, "a Task, such as riding('a1', 'single_board')")
+        rng = make_generator(seed)  # None: from the operating system, forked workers must not share intrinsics
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
-        self.task = task
-        self.rng = make_generator(seed)  # None: from the operating system, forked workers must not share intrinsics
+        self.task, self.rng = task, rng
         self.seeding: tuple[int, int] | None = None  # how often set_seed was called, and its last seed: transforms look
         engine = make_engine(build_scene(task.robot, task.support), task.hook, physics, num_envs, num_threads)
         self.runner = EpisodeRunner(task, engine, randomization, self.rng, failed_episode_replay, compiled)

@@ -64,6 +64,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
     for part in PARTS:
         if part in overrides:
             raise ConfigError(f"{part}={overrides[part]!r}: the task {config.task!r} has no {part}; leave it out")
+    trained = config.grid
     arguments: dict[str, Any] = {
         "num_envs": config.num_envs,
         "num_threads": config.num_threads or None,
@@ -78,12 +79,12 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "score_from": round(config.score_from_seconds / CONTROL_DT),
         "stored_once": True,
         "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
-        "grid": config.grid,
+        "grid": trained,
     }
     arguments |= {name: value for name, value in overrides.items() if name not in TASK_ONLY}
     made = config.make_task(**task)
     if arguments["grid"] is None:
-        arguments["grid"] = _widened(made.command.grid, config.grid)
+        arguments["grid"] = _widened(made.command.grid, trained)
     return envs.make_env(made, **arguments)
 
 
@@ -206,11 +207,10 @@ def make_run_loss(
     )
 
 
-def make_reward_schedule(config: TrainConfig, env: EnvBase) -> dict[str, Callable[[float], float]]:
+def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
     """Return by reward term's name the factor that it is learned with, a function of the run's progress in [0, 1].
 
     Args:
-        config: of the run; not read, since a schedule belongs to the task.
         env: whose task may have a ``reward_schedule``.
     """
     return dict(getattr(attribute(env, "task"), "reward_schedule", {}))

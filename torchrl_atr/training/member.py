@@ -119,7 +119,7 @@ def make_learner(networks: Any, config: TrainConfig, env: EnvBase, parts: Parts,
         loss: from ``parts``, where it has been made.
     """
     own = parts.loss(config, networks) if loss is None else loss
-    return Learner(networks, config, own, make_reward_schedule(config, env), parts.callbacks)
+    return Learner(networks, config, own, make_reward_schedule(env), parts.callbacks)
 
 
 def make_member(

@@ -112,7 +112,7 @@ class Trainer:
         loss = self.parts.loss(config, networks)
         # of the env below all transforms: one of them may leave the terms out of what is stored
         emitted = env_access.base_of(self.env).full_observation_spec.get("reward_terms", {})
-        check_reward_terms(make_reward_schedule(config, self.env), emitted.keys())
+        check_reward_terms(make_reward_schedule(self.env), emitted.keys())
         self._prepare_folder(fresh=state is None)
         self.curriculum = env_access.curriculum_of(self.env)
         if state is None and other is None:

@@ -14,9 +14,6 @@ from torchrl_atr.envs.tasks.observation_terms import Group, ObservationTerm
 from torchrl_atr.envs.tasks.rotations import rotate_about, rotate_back
 from torchrl_atr.envs.tasks.state import GRAVITY
 
-LEG_NAMES = LEGS
-"""What tables call the components of a term of one number a leg."""
-
 
 def body_acceleration(c: StepContext) -> Tensor:
     """v̇_B in the body frame, m/s², (N, 3); with gravity's reaction if the profile asks for an IMU (A18)."""
@@ -69,6 +66,28 @@ PROPRIO: Group = {
     "action": ObservationTerm(last_action, mirrors.joints, unit="1"),
 }
 """o_t without the command, (N, 44): o_m and a_{t-1} by component."""
+
+
+BODY: Group = {
+    "contacts": ObservationTerm(contacts, mirrors.legs, "contact", LEGS, "1"),
+    "body_velocity": ObservationTerm(body_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
+}
+"""c and v_B: what of the extrinsic state is the robot's own, in any task."""
+
+
+def speeds(c: StepContext) -> Tensor:
+    """Forward speed, m/s, and yaw rate, rad/s, that answer the command, (N, 2), as the task's state has them."""
+    return c.state.speeds
+
+
+def odometry(c: StepContext) -> Tensor:
+    """v_B by dead reckoning, body frame, m/s, (N, 3)."""
+    return c.memory["odometry"]
+
+
+SPEEDS: Group = {"speeds": ObservationTerm(speeds, mirrors.FORWARD_YAW)}
+DEAD_RECKONED: Group = {"odometry": ObservationTerm(odometry, mirrors.POLAR, parts="xyz", unit="m/s")}
+"""Needs :data:`ODOMETRY` among the task's memory."""
 
 
 def dead_reckoning(c: StepContext) -> Tensor:

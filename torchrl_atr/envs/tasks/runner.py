@@ -71,7 +71,7 @@ class EpisodeRunner:
         self.failed_episode_replay = check_number("failed_episode_replay", failed_episode_replay, 0.0, 1.0)
         check_choice("randomization", randomization, RANDOMIZATIONS)
         check_flag("compiled", compiled)
-        self.task, self.engine, self.scene, self.readings = task, engine, engine.scene, task.readings
+        self.task, self.engine, self.scene = task, engine, engine.scene
         self.randomization, self.rng = randomization, rng
         self.num_diverged = 0
         self.joints = len(self.scene.robot.joints)

@@ -11,7 +11,7 @@ from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.observation_terms import Group, ObservationTerm
-from torchrl_atr.envs.tasks.proprioception import LEG_NAMES, PROPRIO, body_velocity, contacts
+from torchrl_atr.envs.tasks.proprioception import BODY, DEAD_RECKONED, PROPRIO, SPEEDS
 from torchrl_atr.envs.tasks.riding.forecast import FORECAST_MIRROR, tracking_forecast
 from torchrl_atr.envs.tasks.rotations import rotate_back
 
@@ -36,19 +36,8 @@ def relative_yaw(c: StepContext) -> Tensor:
     return c.state.relative_yaw
 
 
-def speeds(c: StepContext) -> Tensor:
-    """Forward speed, m/s, and yaw rate, rad/s, of the transporter, (N, 2)."""
-    return c.state.speeds
-
-
-def odometry(c: StepContext) -> Tensor:
-    """v_B by dead reckoning, body frame, m/s, (N, 3)."""
-    return c.memory["odometry"]
-
-
 EXTRINSIC: Group = {
-    "contacts": ObservationTerm(contacts, mirrors.legs, "contact", LEG_NAMES, "1"),
-    "body_velocity": ObservationTerm(body_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
+    **BODY,
     "platform_velocity": ObservationTerm(platform_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
     "platform_angular_velocity": ObservationTerm(platform_angular_velocity, mirrors.AXIAL, parts="xyz", unit="rad/s"),
     "relative_position": ObservationTerm(relative_position, mirrors.POLAR[:2], parts="xy", unit="m"),
@@ -70,8 +59,8 @@ def observations(readings: Readings) -> Mapping[NestedKey, Group]:
     """
     return {
         "proprio": PROPRIO,
-        "speeds": {"speeds": ObservationTerm(speeds, mirrors.FORWARD_YAW)},
-        "odometry": {"odometry": ObservationTerm(odometry, mirrors.POLAR, parts="xyz", unit="m/s")},
+        "speeds": SPEEDS,
+        "odometry": DEAD_RECKONED,
         ("privileged", "extrinsic"): extrinsic(readings),
         ("privileged", "outlook"): {"outlook": ObservationTerm(tracking_forecast, FORECAST_MIRROR)},
     }

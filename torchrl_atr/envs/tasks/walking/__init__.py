@@ -9,7 +9,7 @@ from typing import Any
 from torch import Tensor, cat
 
 from torchrl_atr._checks import check_flag, check_kind, check_number
-from torchrl_atr.envs.models import FlatGround, RobotSpec, get_robot
+from torchrl_atr.envs.models import LEGS, FlatGround, RobotSpec, get_robot
 from torchrl_atr.envs.models.robot_file import describe_robot
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.tasks import mirrors
@@ -17,7 +17,7 @@ from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.events import PUSH_INTERVAL, Disturbance, push_robot, tilted, too_low
 from torchrl_atr.envs.tasks.observation_terms import ObservationTerm
 from torchrl_atr.envs.tasks.parameters import robot_parameters
-from torchrl_atr.envs.tasks.proprioception import LEG_NAMES, ODOMETRY, PROPRIO, body_velocity, contacts
+from torchrl_atr.envs.tasks.proprioception import BODY, DEAD_RECKONED, ODOMETRY, PROPRIO, SPEEDS
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
 from torchrl_atr.envs.tasks.walking.gait import CLOCK_MIRROR, MEMORY, clock
@@ -72,16 +72,13 @@ def walking(
         command=CommandSpace(("speed", "yaw_rate"), ("m/s", "rad/s"), grid, mirrors.FORWARD_YAW),
         observations={
             "proprio": {**PROPRIO, "clock": ObservationTerm(clock, CLOCK_MIRROR)},
-            "speeds": {"speeds": ObservationTerm(_speeds, mirrors.FORWARD_YAW)},
-            "odometry": {"odometry": ObservationTerm(_odometry, mirrors.POLAR, unit="m/s")},
-            ("privileged", "extrinsic"): {
-                "contacts": ObservationTerm(contacts, mirrors.legs, "contact", LEG_NAMES, "1"),
-                "body_velocity": ObservationTerm(body_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
-            },
+            "speeds": SPEEDS,
+            "odometry": DEAD_RECKONED,
+            ("privileged", "extrinsic"): BODY,
             ("privileged", "outlook"): {
                 "errors": ObservationTerm(_errors, (*mirrors.FORWARD_YAW, -1.0, 1.0), unit="m/s"),
-                "foot_height": ObservationTerm(_foot_height, mirrors.legs, parts=LEG_NAMES, unit="m"),
-                "air_time": ObservationTerm(_air_time, mirrors.legs, parts=LEG_NAMES, unit="s"),
+                "foot_height": ObservationTerm(_foot_height, mirrors.legs, parts=LEGS, unit="m"),
+                "air_time": ObservationTerm(_air_time, mirrors.legs, parts=LEGS, unit="s"),
             },
         },
         rewards=rewards,
@@ -95,14 +92,6 @@ def walking(
         reward_schedule={name: factor for name, factor in effort_schedule().items() if name in rewards},
         arguments=arguments,
     )
-
-
-def _speeds(c: StepContext) -> Tensor:
-    return c.state.speeds
-
-
-def _odometry(c: StepContext) -> Tensor:
-    return c.memory["odometry"]
 
 
 def _errors(c: StepContext) -> Tensor:
