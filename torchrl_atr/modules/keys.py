@@ -11,7 +11,7 @@ from tensordict import NestedKey
 class NetworkKeys:
     """Names of the entries that networks and loss meet on; rename any of them for an env with its own names.
 
-    ``dead_reckoned_velocity`` (velocities by dead reckoning) and ``outlook`` (what tracking will be like) are read only where
+    ``dead_reckoned_velocity`` and ``outlook`` (what tracking will be like) are read only where
     :func:`~torchrl_atr.modules.make_networks` is told so: ``estimator_inputs=[keys.dead_reckoned_velocity]`` and
     ``critic_inputs=[keys.outlook]``.
 

@@ -82,12 +82,12 @@ def make_networks(
         >>> spec = Composite(
         ...     observation=Unbounded((5,)),
         ...     history=Unbounded((4, 5)),
-        ...     dead_reckoned_velocity=Unbounded((2,)),
+        ...     wind=Unbounded((2,)),
         ...     privileged=Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,))),
         ... )
-        >>> networks = make_networks(spec, Unbounded((2,)), estimator="mlp", estimator_inputs=["dead_reckoned_velocity"])
+        >>> networks = make_networks(spec, Unbounded((2,)), estimator="mlp", estimator_inputs=["wind"])
         >>> sorted(networks.deployed_policy().in_keys)
-        ['history', 'observation', 'dead_reckoned_velocity']
+        ['history', 'observation', 'wind']
     """
     check_whole("latent_features", latent_features, low=1)
     check_widths(actor_cells=actor_cells, critic_cells=critic_cells)

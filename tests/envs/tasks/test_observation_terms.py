@@ -1,10 +1,9 @@
-import math
-
 """Observation terms as data: what cannot be used is named before the first step; errors of sensors are as declared."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import pytest
 import torch

@@ -10,7 +10,7 @@ from typing import Any
 from torchrl_atr._registry import Registry
 from torchrl_atr.envs.tasks.observation_terms import Group, ObservationError
 
-SensorSet = Mapping[str, Mapping[str, float]]
+SensorSet = Mapping[str, Mapping[str, Any]]
 """By the name of an observation term of ``proprio``, those of its fields noise, bias, bias_time and delay to set."""
 _ATTITUDE = math.radians(0.5)
 SENSORS: Registry[SensorSet] = Registry("sensor set")
@@ -45,7 +45,7 @@ def with_sensors(group: Group, sensors: str | SensorSet) -> Group:
         0.005
     """
     chosen = SENSORS.get(sensors) if isinstance(sensors, str) else sensors
-    changed: dict[str, Any] = {}
+    changed = {}
     for name, errors in chosen.items():
         if name not in group:
             raise ObservationError(f"the sensor set names {name!r}; the observation terms are {', '.join(group)}")

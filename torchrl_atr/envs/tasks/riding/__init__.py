@@ -66,8 +66,8 @@ def riding(
             :data:`~torchrl_atr.envs.tasks.dead_reckoning.DEAD_RECKONING`.
         pushes: whether robot and platform are pushed every 3 s.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
-        displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as it may stand after
-            a minute (for training).
+        displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
+            pushes (for training).
         rewards: the terms of the reward by name.
         steering_weight_peak: factor of r1 in what is learned from, at its peak: it rises from 1 until
             ``steering_weight_peak_at``. A turn is paid late and through more noise than a speed: once speeds are held,

@@ -61,9 +61,9 @@ def _start(moving: float, displaced: float, scene: Scene, command: Tensor, gener
 
     The transporter may move at part of the command: tracking kernels are steepest near their peak, and the yaw that a
     lean earns comes seconds later. A rider that starts at (part of) the commanded yaw rate feels at once that leaning
-    keeps it, one that starts at rest pays for the lean long before it turns. Each component of a moving start is uniform
-    between 0 and its command. A displaced robot stands up to :data:`DISPLACEMENT` from the middle and turned by up to
-    :data:`TURN`, as after a minute of pushes, and learns to step back.
+    keeps it, one that starts at rest pays for the lean long before it turns. Each component of a moving start is
+    uniform between 0 and its command. A displaced robot stands up to :data:`DISPLACEMENT` from the middle and turned
+    by up to :data:`TURN`, as after a minute of pushes, and learns to step back.
     """
     n = len(command)
     draw = torch.rand(n, 4, generator=generator, dtype=torch.float64)
@@ -82,7 +82,7 @@ def _start(moving: float, displaced: float, scene: Scene, command: Tensor, gener
 
 
 def _displace(scene: Scene, qpos: Tensor, place: Tensor) -> None:
-    """Shift and turn the robots of ``qpos`` (n, nq) about the middle of the boards by x, y (m) and yaw (rad), (n, 3)."""
+    """Shift and turn robots, ``qpos`` (n, nq), about the middle of the boards by x, y (m) and yaw (rad), (n, 3)."""
     x, half = scene.layout.root_qpos, place[:, 2] / 2
     cosine, sine = torch.cos(place[:, 2]), torch.sin(place[:, 2])
     ahead, left = qpos[:, x].clone(), qpos[:, x + 1].clone()
