@@ -109,9 +109,9 @@ def test_lines_of_training_fit_120_columns(tmp_path, capsys, size):
     progress._shown |= {"frames": 123_456_789, "minutes": 60.0 * 99}
     lines = [*progress_module._HEAD.splitlines(), progress._line()]
     assert {len(line) for line in lines} == {119}
-    assert len(lines[-1].split()) == len(progress_module._SHOWN) + 1
+    assert len(lines[-1].split()) == len(progress_module._COLUMNS) + 1
     progress._shown = {"frames": 100, "minutes": 1.0}  # what the first iterations lack
-    assert progress._line().split()[1:-1] == ["-"] * (len(progress_module._SHOWN) - 1)
+    assert progress._line().split()[1:-1] == ["-"] * (len(progress_module._COLUMNS) - 1)
 
 
 def test_training_ends_with_where_the_run_is_and_what_comes_next(tmp_path, capsys, monkeypatch):

@@ -9,7 +9,7 @@ from torchrl.envs import TransformedEnv
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.transforms import task_transforms
 from torchrl_atr.evaluation import command_grid, evaluate_tracking
-from torchrl_atr.evaluation import tracking as tracking_module
+from torchrl_atr.evaluation import ride as ride_module
 from torchrl_atr.modules import make_networks
 
 from .conftest import PuppetEnv, policy_of, puppet_env
@@ -96,7 +96,7 @@ def test_chunks_change_nothing_and_have_their_own_seeds(evaluate, monkeypatch):
         return puppet_env(num_envs, seed)
 
     whole = evaluate(lambda command: 0.5 * command, make_env=make_env)
-    monkeypatch.setattr(tracking_module, "MAX_ROBOTS", 7)
+    monkeypatch.setattr(ride_module, "MAX_ROBOTS", 7)
     parts = evaluate(lambda command: 0.5 * command, make_env=make_env, seed=5)
     assert seeds == [(18, 0), (7, 5), (7, 6), (4, 7)]
     np.testing.assert_array_equal(whole.rms_speed_error, parts.rms_speed_error)
@@ -156,7 +156,7 @@ def test_estimator_errors_stop_at_the_fall(evaluate):
 
 
 def test_progress_counts_all_chunks(evaluate, monkeypatch):
-    monkeypatch.setattr(tracking_module, "MAX_ROBOTS", 9)
+    monkeypatch.setattr(ride_module, "MAX_ROBOTS", 9)
     calls = []
     evaluate(lambda command: command, progress=lambda done, total: calls.append((done, total)))
     assert calls == [(step, 40) for step in range(1, 41)]

@@ -14,11 +14,11 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, folder_for, say, whole
 from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.parser import DEFAULT_RUN, PLACES, RESUMABLE, SETTINGS, option
-from torchrl_atr.cli.printing import StepCounter, estimator_lines, headlines, replay_head, replay_line
+from torchrl_atr.cli.printing import StepCounter, replay_head, replay_line
+from torchrl_atr.cli.protocols import PROTOCOLS, check_options
 from torchrl_atr.listings import LISTINGS
 
 if TYPE_CHECKING:
-    from torchrl_atr.envs.transforms import CommandGrid
     from torchrl_atr.training import TrainConfig, Trainer
 
 
@@ -88,15 +88,15 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from functools import partial
 
     from torchrl_atr._threads import TorchThreads
-    from torchrl_atr.evaluation import evaluate_tracking, figures, tracking_metrics, write_report
+    from torchrl_atr.evaluation import figures
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
+    check_options(arguments)
     output = _report_folder(arguments)
     other = _other_model(arguments)
     imports = arguments.imports or ()
     config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), imports, num_envs=1, **other)
     env.close()
-    grid = _commands(arguments, config.make_task().command.grid)
     with folder_for(output):
         with StepCounter("evaluating") as counter, TorchThreads(announce=counter.note) as threads:
 
@@ -104,43 +104,28 @@ def evaluate(arguments: argparse.Namespace) -> None:
                 threads.update()
                 counter(done, total)
 
-            result = evaluate_tracking(
-                networks.deployed_policy(),
-                partial(make_env, config, randomization=arguments.randomization, **other, **DEPLOYED),
-                grid,
-                robots_per_command=arguments.robots_per_command,
-                seed=arguments.seed,
-                encoder_module=networks.encoder_module,
-                progress=progress,
+            chosen = {**DEPLOYED, **other, "randomization": arguments.randomization}
+            measured = PROTOCOLS[arguments.protocol](
+                arguments, config, networks, partial(make_env, config, **chosen), progress
             )
-        metrics = tracking_metrics(result)
+        metrics = measured.metrics
         metrics["evaluation"] = {
             "robot": env.base_env.scene.robot.name,
             "transporter": env.base_env.scene.support.name,
             "seed": arguments.seed,
             "randomization": arguments.randomization,
             "checkpoint": arguments.checkpoint,
+            "act_source": arguments.act_source,
         }
         metrics["run"] = state["provenance"]
         with whole(output) as folder:
-            write_report(result, metrics, folder)
+            measured.write(folder)
             if (arguments.run / "progress.csv").is_file():
                 figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
             if state["curriculum"] is not None:
                 weights = state["curriculum"]["weights"]
                 figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
-    say("\n".join([*headlines(metrics), *estimator_lines(metrics["estimator_errors"]), f"report in {output}"]))
-
-
-def _commands(arguments: argparse.Namespace, grid: CommandGrid | None) -> tuple[Any, Any]:
-    """Return the speeds and yaw rates to evaluate, within those of the task."""
-    from torchrl_atr.evaluation import command_grid
-
-    largest = 2.0 if grid is None else min(2.0, grid.bounds[0])
-    speed = largest if arguments.max_speed is None else arguments.max_speed
-    step = (1.0 if float(speed).is_integer() else 0.5) if arguments.speed_step is None else arguments.speed_step
-    speeds, yaw_rates = command_grid(speed, arguments.max_yaw_rate, step, arguments.yaw_rate_step)
-    return (speeds[speeds >= 0] if grid is not None and grid.forward_only else speeds), yaw_rates
+    say("\n".join([*measured.lines, f"report in {output}"]))
 
 
 def _checkpoint(arguments: argparse.Namespace) -> str | None:
@@ -159,11 +144,13 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     """Where the report goes: a run's own is of the robot and transporter that it was trained on."""
     from torchrl_atr.training import ConfigError
 
-    output = arguments.output or arguments.run
+    run = arguments.run
+    own = run if arguments.protocol == "tracking" else run / arguments.protocol  # each has a metrics.json
+    output = arguments.output or own
     for name, value in _other_model(arguments).items():
-        if output.resolve() == arguments.run.resolve():
+        if output.resolve() in (run.resolve(), own.resolve()):
             raise ConfigError(
-                f"--{name} {value}: the report in {arguments.run} is of the {name} that it was trained on; give "
+                f"--{name} {value}: the report in {output} is of the {name} that it was trained on; give "
                 "another folder with --output"
             )
     return output

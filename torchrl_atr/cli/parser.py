@@ -10,8 +10,12 @@ from pathlib import Path
 
 from torchrl_atr import __version__
 from torchrl_atr._registry import nearest
+from torchrl_atr.cli.protocols import PROTOCOLS
 from torchrl_atr.listings import LISTINGS
 
+_PROTOCOL_HELP = (
+    "tracking: 10 s of every command of a grid; endurance: minutes of random commands, one after the other, and pushes"
+)
 DEFAULT_RUN = Path("runs/latest")
 SETTINGS = (
     "task",
@@ -80,7 +84,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"torchrl-atr {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
     _add_train(commands.add_parser("train", help="train a policy; go on from a run with --resume"))
-    _add_evaluate(commands.add_parser("evaluate", help="measure the deployed policy over a grid of commands"))
+    _add_evaluate(commands.add_parser("evaluate", help="measure how the deployed policy tracks commands, or lasts"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
     replay.add_argument("dump", type=_path)
@@ -141,19 +145,31 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     _add_checkpoint(parser)
     _add_import(parser)
     parser.add_argument("--seed", type=_seed, default=0)
-    parser.add_argument("--output", type=_path, help="where the report goes; default: the run folder")
+    parser.add_argument("--protocol", choices=tuple(PROTOCOLS), default="tracking", help=_PROTOCOL_HELP)
+    output_text = "where the report goes; default: the run folder, of another protocol than tracking RUN/PROTOCOL"
+    parser.add_argument("--output", type=_path, help=output_text)
     parser.add_argument("--robot", help="measure another one than it was trained with; needs --output")
     parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
     parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
     parser.add_argument(
         "--max-speed", type=_number(float, 0, 100), help="m/s; default: 2, or the task's if that is less"
     )
-    parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), default=1.0, help="rad/s")
-    parser.add_argument(
+    parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), help="rad/s; default: 1")
+    source_text = (
+        "estimated: what a robot has; privileged: the truth, to tell errors of estimates from those of control"
+    )
+    parser.add_argument("--act-source", choices=("estimated", "privileged"), default="estimated", help=source_text)
+    tracking = parser.add_argument_group("--protocol tracking")
+    tracking.add_argument(
         "--speed-step", type=_number(float, 0.001, 100), help="m/s; divides the range; default: 1, or 0.5"
     )
-    parser.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), default=0.25, help="rad/s; likewise")
-    parser.add_argument("--robots-per-command", type=_number(int, 1, 100_000), default=8)
+    tracking.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), help="rad/s; likewise; default: 0.25")
+    tracking.add_argument("--robots-per-command", type=_number(int, 1, 100_000), metavar="N", help="default: 8")
+    endurance = parser.add_argument_group("--protocol endurance")
+    endurance.add_argument("--robots", type=_number(int, 1, 100_000), metavar="N", help="default: 200")
+    endurance.add_argument("--seconds", type=_number(float, 1, 86400), help="of a ride; default: 60")
+    endurance.add_argument("--command-seconds", type=_number(float, 2.02, 86400), help="of a command; default: 5")
+    endurance.add_argument("--no-pushes", dest="pushes", action="store_const", const=False, help="leave pushes out")
 
 
 def _add_play(parser: argparse.ArgumentParser) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._files import say
@@ -75,6 +75,32 @@ def headlines(metrics: dict[str, Any]) -> Iterator[str]:
     yield f"{'':40}{'ours':>10}{'still board':>14}"
     for name, unit in _HEADLINES.items():
         yield f"{f'{name}, {unit}':40}{number(metrics[name], 10, 3)} {number(still[name], 13, 3)}"
+
+
+def endurance_lines(metrics: dict[str, Any]) -> Iterator[str]:
+    """Lines of an endurance evaluation's headline: figures with their 95 % intervals, and the causes of falls."""
+    still, up, seconds = metrics["do_nothing"], metrics["survival_over_time"], metrics["seconds"]
+    yield f"{'':40}{'ours':>10}{'95 % interval':>20}{'still board':>14}"
+    shown = {float(round(seconds * share)) for share in (1 / 6, 1 / 3, 2 / 3)} | {seconds}
+    for second, *figures in zip(*(up[name] for name in ("seconds", "share", "low", "high"))):
+        if second in shown and second > 0:
+            yield _endurance_line(f"up at {second:g} s, share", figures[0], figures[1:], still["survival"])
+    for name, unit in (("settled_speed_error", "m/s"), ("settled_yaw_error", "rad/s")):
+        yield _endurance_line(f"{name}, {unit}", metrics[name], metrics[f"{name}_interval"], still[name])
+    if metrics["estimate_drift"] is not None:
+        label = f"drift of the estimated {metrics['estimate_over_time']['label']}"
+        yield _endurance_line(label, metrics["estimate_drift"], metrics["estimate_drift_interval"])
+    yield _endurance_line("falls a minute of riding", metrics["falls_per_minute"])
+    for cause, fallen in metrics["falls_by_cause"].items():
+        yield _endurance_line(f"  {cause.replace('_', ' ')}, share", fallen["share"], fallen["share_interval"])
+
+
+def _endurance_line(
+    label: str, value: float | None, interval: Sequence[float | None] = (), still: float | None = None
+) -> str:
+    ends = f"[{', '.join(number(end, 8, 3).strip() for end in interval)}]" if interval else ""
+    line = f"{label:40}{number(value, 10, 3)}{ends:>20}"
+    return line if still is None else f"{line}{number(still, 14, 3)}"
 
 
 def estimator_lines(errors: dict[str, Any] | None) -> Iterator[str]:

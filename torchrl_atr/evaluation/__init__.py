@@ -1,8 +1,11 @@
-"""How well it rides: command tracking, its figures, and pictures of it.
+"""How well it rides, and for how long: command tracking, endurance, their figures, and pictures of it.
 
 Figures and videos import matplotlib, mediapy and OpenGL only when they are made.
 """
 
+from torchrl_atr.evaluation.endurance import EnduranceResult, evaluate_endurance
+from torchrl_atr.evaluation.endurance_metrics import endurance_metrics
+from torchrl_atr.evaluation.endurance_report import load_endurance, save_endurance, write_endurance
 from torchrl_atr.evaluation.estimators import EstimatorErrors
 from torchrl_atr.evaluation.metrics import command_area, do_nothing, tracking_metrics
 from torchrl_atr.evaluation.replay import ReplayedStep, replay
@@ -13,18 +16,24 @@ from torchrl_atr.evaluation.viewer import play_viewer
 
 __all__ = [
     "DEFAULT_RIDE",
+    "EnduranceResult",
     "EstimatorErrors",
     "ReplayedStep",
     "TrackingResult",
     "command_area",
     "command_grid",
     "do_nothing",
+    "endurance_metrics",
+    "evaluate_endurance",
     "evaluate_tracking",
+    "load_endurance",
     "load_tracking",
     "play_viewer",
     "record_video",
     "replay",
+    "save_endurance",
     "save_tracking",
     "tracking_metrics",
+    "write_endurance",
     "write_report",
 ]

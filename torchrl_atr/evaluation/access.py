@@ -104,6 +104,43 @@ def achieved_speeds(env: EnvBase) -> Tensor:
     return speeds
 
 
+def ended_by(env: EnvBase) -> dict[str, Tensor]:
+    """Return by cause the robots whose episode the last step ended for it, (N,) bool; empty for envs not ours."""
+    base = base_env(env)
+    return dict(zip(base.runner.terms.causes, base.runner.causes)) if isinstance(base, QuadrupedEnv) else {}
+
+
+def disturbance_steps(env: EnvBase) -> dict[str, int]:
+    """Return by name the control steps between two disturbances of a robot; empty for envs not ours.
+
+    Example:
+        >>> from torchrl_atr.envs import RidingEnv
+        >>> disturbance_steps(RidingEnv(num_envs=1))
+        {'push': 150}
+    """
+    base = base_env(env)
+    known = base.task.disturbances if isinstance(base, QuadrupedEnv) else {}
+    return {name: disturbance.steps for name, disturbance in known.items()}
+
+
+def intrinsic_names(env: EnvBase, size: int) -> tuple[str, ...]:
+    """Return the names of the ``size`` components of the intrinsic parameters, in order (numbers for envs not ours).
+
+    Example:
+        >>> from torchrl_atr.envs import RidingEnv
+        >>> intrinsic_names(RidingEnv(num_envs=1), 34)[:2]
+        ('payload', 'com[0]')
+    """
+    base = base_env(env)
+    if isinstance(base, QuadrupedEnv) and base.runner.intrinsics.size == size:
+        names: list[str] = []
+        for name, part in base.runner.intrinsics.slices.items():
+            count = part.stop - part.start
+            names += [name] if count == 1 else [f"{name}[{i}]" for i in range(count)]
+        return tuple(names)
+    return tuple(f"intrinsic[{i}]" for i in range(size))
+
+
 class Component(NamedTuple):
     """A component of the extrinsic state.
 

@@ -46,6 +46,7 @@ LEARNING_CURVES: dict[str, str] = {
     "episode_length": "episode length [control steps]",
     "episode_reward": "return of an episode [1]",
     "reward": "reward per step [1]",
+    "falls_per_minute": "falls per robot and minute [1/min]",
     "speed_error": "speed error [m/s]",
     "yaw_error": "yaw rate error [rad/s]",
     "command_area": "command area [share of grid]",
@@ -186,14 +187,18 @@ def plot_learning_curves(progress_csv: str | Path, path: str | Path, curves: Map
     if not labels or not len(columns[next(iter(labels))]):
         some = ", ".join(list(known)[:3])
         raise InputError(f"{progress_csv} has no rows, or none of the columns {some}, ...; give the log of a run")
-    x = columns["frames"] / 1e6 if "frames" in columns else np.arange(len(next(iter(columns.values()))))
+    count = len(next(iter(columns.values())))
+    x = columns["frames"] / 1e6 if "frames" in columns else np.arange(count, dtype=np.float64)
     columns_shown = min(3, len(labels))
     rows = -(-len(labels) // columns_shown)
     x_label = "robot steps [million]" if "frames" in columns else "iteration"
     with plt.rc_context(STYLE):
         figure, axes = plt.subplots(rows, columns_shown, figsize=(3.7 * columns_shown, 2.4 * rows), squeeze=False)
         for axis, (name, label) in zip(axes.flat, labels.items()):
-            axis.plot(x, columns[name], color=_COLOURS["speed"], lw=1.2)
+            if name == "falls_per_minute":  # few in any one iteration
+                _noisy_line(axis, x, columns[name], _COLOURS["speed"], "speed")
+            else:
+                axis.plot(x, columns[name], color=_COLOURS["speed"], lw=1.2)
             axis.set(title=label, xlabel=x_label, ylim=_limits(columns[name]))
             axis.ticklabel_format(axis="y", useOffset=False, useMathText=True, scilimits=(-3, 5))
             axis.grid(alpha=0.25)

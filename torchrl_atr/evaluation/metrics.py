@@ -25,7 +25,7 @@ _TOLERANCE = 1e-6
 def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILONS) -> dict[str, Any]:
     """Everything that ``metrics.json`` holds.
 
-    ``n`` trials; ``survival``, their share without a fall; ``settled_speed_error`` (m/s) and
+    ``protocol``; ``n`` trials; ``survival``, their share without a fall; ``settled_speed_error`` (m/s) and
     ``settled_yaw_error`` (rad/s), means over the survivors of all commands; ``settled_speed_error_straight``,
     the same over |c_v| <= 2 at c_ω = 0; ``rms_speed_error`` and ``rms_yaw_error``, means over all trials, up
     to the fall; ``yaw_slope``, the regression slope (with intercept) of settled ω on c_ω over survivors with
@@ -42,6 +42,7 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
         Nested dicts of plain Python values without NaN.
     """
     figures = {
+        "protocol": "tracking",
         "n": int(result.fall_time.size),
         "commands": int(result.fall_time[..., 0].size),
         "robots_per_command": int(result.fall_time.shape[-1]),
@@ -52,7 +53,7 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
         "estimator_errors": estimator_table(result),
         "policy_reads": list(result.policy_reads),
     }
-    return _without_nan(figures)
+    return without_nan(figures)
 
 
 def do_nothing(result: TrackingResult) -> TrackingResult:
@@ -163,10 +164,10 @@ def _mean(values: Array) -> float:
     return float(values.mean()) if values.size else math.nan
 
 
-def _without_nan(value: Any) -> Any:
-    """``value`` with every number that JSON cannot write replaced by None."""
+def without_nan(value: Any) -> Any:
+    """Return ``value`` with every number that JSON cannot write replaced by None."""
     if isinstance(value, dict):
-        return {key: _without_nan(item) for key, item in value.items()}
+        return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_without_nan(item) for item in value]
+        return [without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

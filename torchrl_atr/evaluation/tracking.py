@@ -6,35 +6,23 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs import EnvBase
-from torchrl.envs.utils import step_mdp
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.evaluation.access import achieved_speeds, command_owner, deterministic, extrinsic_components
+from torchrl_atr.evaluation.access import achieved_speeds, extrinsic_components
 from torchrl_atr.evaluation.estimators import EstimatorErrors, EstimatorSums
+from torchrl_atr.evaluation.ride import MakeEnv, RideStep, key_name, ride_in_chunks
 from torchrl_atr.modules.keys import NetworkKeys
 
 Array = NDArray[np.float64]
-MAX_ROBOTS = 1024
-"""Robots simulated at once; larger evaluations go in chunks."""
 _TOLERANCE = 1e-9
-
-
-class MakeEnv(Protocol):
-    """Builds a chunk's env, such as ``partial(make_riding_env, "a1", "single_board", pushes=False)``."""
-
-    def __call__(self, *, num_envs: int, seed: int) -> EnvBase:
-        """An env of ``num_envs`` robots whose transform pins commands."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -165,16 +153,19 @@ def evaluate_tracking(
         )
     pairs = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 2)
     trials = torch.as_tensor(np.repeat(pairs, robots_per_command, axis=0), dtype=torch.float32)
-    chunks = trials.split(MAX_ROBOTS)
-    outcomes = []
-    for number, chunk in enumerate(chunks):
-        env = _build(make_env, len(chunk), seed + number)
-        ride = _Ride(policy, env, chunk, speeds, encoder_module, keys or NetworkKeys())
-        ride.run(total, partial(_report, progress, number * total, len(chunks) * total))
-        outcomes.append(ride)
-        env.close(raise_if_closed=False)
+    recorders = ride_in_chunks(
+        policy,
+        make_env,
+        trials.unsqueeze(0),
+        total,
+        lambda env, commands: _Recorder(env, commands[0], encoder_module, keys or NetworkKeys()),
+        seed=seed,
+        progress=progress,
+        speeds=speeds,
+        keys=keys,
+    )
     shape = (*(len(axis) for axis in axes), robots_per_command)
-    figures = [summarise(r.measured, r.alive, r.commands, dt, settled) for r in outcomes]
+    figures = [summarise(r.measured, r.alive, r.commands, dt, settled) for r in recorders]
     joined = {name: np.concatenate([f[name] for f in figures]).reshape(shape) for name in figures[0]}
     return TrackingResult(
         speed_commands=axes[0],
@@ -182,39 +173,24 @@ def evaluate_tracking(
         **joined,
         seconds=total * dt,
         settle=settled * dt,
-        policy_reads=tuple(_name(key) for key in policy.in_keys),
-        estimators=EstimatorErrors.join([r.sums.result() for r in outcomes], shape),
+        policy_reads=tuple(key_name(key) for key in policy.in_keys),
+        estimators=EstimatorErrors.join([r.sums.result() for r in recorders], shape),
     )
 
 
-def _report(progress: Callable[[int, int], None] | None, before: int, total: int, step: int) -> None:
-    if progress is not None:
-        progress(before + step, total)
+class _Recorder:
+    """One chunk's commands (n, 2), what was measured (T, n, 2), and who was up (T + 1, n)."""
 
-
-def _build(make_env: MakeEnv, num_envs: int, seed: int) -> EnvBase:
-    env = make_env(num_envs=num_envs, seed=seed)
-    if env.batch_size != torch.Size([num_envs]):
-        raise ValueError(f"make_env(num_envs={num_envs}) built an env of batch size {tuple(env.batch_size)}")
-    return env
-
-
-class _Ride:
-    """One chunk of robots, ridden once: what was measured (T, n, 2) and who was up (T + 1, n)."""
-
-    def __init__(
-        self,
-        policy: TensorDictModuleBase,
-        env: EnvBase,
-        commands: Tensor,
-        speeds: Callable[[EnvBase], Tensor],
-        encoder: TensorDictModuleBase | None,
-        keys: NetworkKeys,
-    ) -> None:
-        self.policy, self.env, self.commands, self.speeds, self.keys = policy, env, commands, speeds, keys
-        self.sums = EstimatorSums(len(commands), encoder, keys, lambda size: extrinsic_components(env, size))
+    def __init__(self, env: EnvBase, commands: Tensor, encoder: TensorDictModuleBase | None, keys: NetworkKeys) -> None:
+        self.commands = commands
+        self.sums = EstimatorSums(len(commands), encoder, keys, partial(extrinsic_components, env))
         self._measured: list[Tensor] = []
-        self._alive: list[Tensor] = []
+        self._alive = [torch.ones(len(commands), dtype=torch.bool)]
+
+    def __call__(self, step: RideStep) -> None:
+        self.sums.add(step.observed, step.decided, step.up)
+        self._measured.append(step.speeds)
+        self._alive.append(~step.down)
 
     @property
     def measured(self) -> Array:
@@ -224,28 +200,6 @@ class _Ride:
     def alive(self) -> NDArray[np.bool_]:
         """Whether each robot was up at the start of each step, and at the end in the last row, (T + 1, n)."""
         return torch.stack(self._alive).numpy()
-
-    def run(self, total: int, report: Callable[[int], None]) -> None:
-        """Rides ``total`` steps from a reset, reporting the number done after each."""
-        command_owner(self.env).pin(self.commands)
-        with deterministic(self.policy):
-            td = self.env.reset()
-            self._alive.append(torch.ones(len(self.commands), dtype=torch.bool))
-            for step in range(1, total + 1):
-                td = self._step(td)
-                report(step)
-
-    def _step(self, td: TensorDictBase) -> TensorDictBase:
-        alive = self._alive[-1]
-        decided = self.policy(td.select(*self.policy.in_keys, strict=False))
-        self.sums.add(td, decided, alive)
-        td = td.update(decided)
-        # what a fallen robot's policy says may be anything; the env would refuse a NaN
-        td[self.keys.action] = td[self.keys.action].where(alive.unsqueeze(-1), torch.zeros(()))
-        td = self.env.step(td)
-        self._measured.append(self.speeds(self.env))
-        self._alive.append(alive & ~td["next", "terminated"].reshape(-1))
-        return step_mdp(td)
 
 
 def summarise(
@@ -289,7 +243,3 @@ def _mean(values: Array, counted: NDArray[np.bool_]) -> Array:
     total = np.where(counted[..., None], values, 0.0).sum(0)
     count = counted.sum(0).astype(np.float64)[:, None]
     return np.divide(total, count, out=np.full_like(total, math.nan), where=count > 0)
-
-
-def _name(key: NestedKey) -> str:
-    return key if isinstance(key, str) else ".".join(key)

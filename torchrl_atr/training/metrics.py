@@ -43,10 +43,10 @@ def riding_metrics(batch: TensorDictBase) -> dict[str, float]:
         batch: (N, T) with ``command``, and ``next`` holding ``speeds`` and ``terminated``.
 
     Returns:
-        ``speed_error`` (m/s) and ``yaw_error`` (rad/s), mean absolute differences of speeds and commands; the same for
-        the robots that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw
-        rate that is reached (moving starts give an untrained rider some); ``falls``, terminations per robot and second,
-        runaways included.
+        ``speed_error`` (m/s) and ``yaw_error`` (rad/s), mean absolute differences of speeds and commands;
+        ``falls_per_minute``, terminations in a minute of a robot's riding, overspeed included; the same for the robots
+        that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw rate that is
+        reached (moving starts give an untrained rider some).
     """
     after, metrics = batch["next"], {}
     student = batch.get(("act", "student"), None)
@@ -55,7 +55,10 @@ def riding_metrics(batch: TensorDictBase) -> dict[str, float]:
         if student is not None and student.any():
             metrics[f"student_{name}"] = float(error[student].mean())
     metrics["yaw_gain"] = _regression_gain(batch["command"][..., 1], after["speeds"][..., 1])
-    metrics["falls"] = float(after["terminated"].float().mean()) / CONTROL_DT
+    fallen = after["terminated"].float() * (60.0 / CONTROL_DT)
+    metrics["falls_per_minute"] = float(fallen.mean())
+    if student is not None and student.any():
+        metrics["student_falls_per_minute"] = float(fallen[student].mean())
     return metrics
 
 

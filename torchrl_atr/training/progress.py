@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import sys
 import time
+from collections import deque
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from torchrl_atr._errors import InputError
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class _Shown(NamedTuple):
-    """A metric: its label and format in the live table; head, unit and width of its column elsewhere."""
+    """A metric: its label and format in the live table; head, unit and width of its column elsewhere, 0 for none."""
 
     name: str
     label: str
@@ -38,6 +40,7 @@ _SHOWN = (
     _Shown("frames", "robot steps", "{:,.0f}", "robot", "steps", 12),
     _Shown("frames_per_second", "per second", "{:,.0f}", "rate", "steps/s", 8),
     _Shown("episode_length", "episode length, steps", "{:.0f}", "length", "steps", 7),
+    _Shown("falls_per_minute", "falls per robot and minute", "{:.2f}", "falls", "/min", 7),
     _Shown("speed_error", "speed error, m/s", "{:.3f}", "v err", "m/s", 7),
     _Shown("yaw_error", "yaw error, rad/s", "{:.3f}", "w err", "rad/s", 7),
     _Shown("student_speed_error", "... acting on estimates", "{:.3f}", "est v", "m/s", 7),
@@ -48,9 +51,10 @@ _SHOWN = (
     _Shown("std", "action std", "{:.3f}", "act", "std", 6),
     _Shown("chatter", "action chatter", "{:.3f}", "action", "rms", 7),
     _Shown("kl_approx", "KL", "{:.4f}", "KL", "", 8),
-    _Shown("diverged", "diverged simulations", "{:.0f}", "sims", "failed", 7),
+    _Shown("diverged", "diverged simulations", "{:.0f}", "", "", 0),  # each is logged when it happens
     _Shown("skipped_steps", "skipped steps", "{:.0f}", "skip", "steps", 6),
 )
+_COLUMNS = tuple(shown for shown in _SHOWN if shown.width)
 _LEFT = 10
 """Width of the time that is left; with it, a line has 119 characters."""
 _PAGE = 20
@@ -58,10 +62,12 @@ _PAGE = 20
 _HEAD = "\n".join(
     "".join(text.rjust(width) for text, width in row)
     for row in (
-        [*((each.head, each.width) for each in _SHOWN), ("left", _LEFT)],
-        [*((each.unit, each.width) for each in _SHOWN), ("h:min:s", _LEFT)],
+        [*((each.head, each.width) for each in _COLUMNS), ("left", _LEFT)],
+        [*((each.unit, each.width) for each in _COLUMNS), ("h:min:s", _LEFT)],
     )
 )
+_MOVING = {"falls_per_minute": 50}
+"""Iterations over whose mean a metric is shown that is rare in each; logs hold every iteration's own."""
 _LINE_SECONDS = 15.0
 """Seconds between lines where there is no terminal to redraw."""
 
@@ -95,6 +101,7 @@ class Progress:
         elif self._csv_path.is_file():
             self._fields = self._keep_rows(resume_from)
         self._shown: dict[str, float] = {}
+        self._recent = {name: deque[float](maxlen=iterations) for name, iterations in _MOVING.items()}
         self._last_line = 0.0
         self._lines = 0
         self._live: Any = None
@@ -122,6 +129,10 @@ class Progress:
         """Shows and stores one iteration."""
         self._shown.update(metrics)
         self._append(self._shown)
+        for name, recent in self._recent.items():
+            if name in metrics:
+                recent.append(metrics[name])
+                self._shown[name] = fmean(recent)
         tagged = {name if "/" in name else f"train/{name}": value for name, value in metrics.items()}
         if self.logger is not None:
             self.logger.log_metrics(tagged, step=int(metrics["frames"]))
@@ -185,7 +196,7 @@ class Progress:
         return [*rows, ("time left", self._left())]
 
     def _line(self) -> str:
-        return "".join(shown.cell(self._shown) for shown in _SHOWN) + f" {self._left()}".rjust(_LEFT)
+        return "".join(shown.cell(self._shown) for shown in _COLUMNS) + f" {self._left()}".rjust(_LEFT)
 
     def _table(self) -> Any:
         from rich.table import Table

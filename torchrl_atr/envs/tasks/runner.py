@@ -16,7 +16,7 @@ from torchrl_atr.envs.tasks.reward_terms import TERMINATION
 from torchrl_atr.envs.tasks.sensor_errors import SensorErrors
 from torchrl_atr.envs.tasks.task import Task
 from torchrl_atr.envs.tasks.task_checks import checked_start
-from torchrl_atr.envs.tasks.terms import Memory, Observed, StepOutcome, TaskTerms
+from torchrl_atr.envs.tasks.terms import DIVERGED, Memory, Observed, StepOutcome, TaskTerms
 
 ACTION_LIMIT = 3.0
 """Bounds of the action specs, in units of the action scale: with 0.25 rad a unit, joint targets of q0 ± 0.75 rad.
@@ -51,6 +51,7 @@ class EpisodeRunner:
         moving: whether the episode started with part of what is commanded, (N,) bool.
         steps: control steps since the start of the episode, (N,).
         failed: whether the last control step ended the episode early, (N,) bool.
+        causes: which of ``terms.causes`` did, (causes, N) bool.
         num_diverged: robots that have failed so far, counted by whoever drives the task.
 
     Raises:
@@ -84,6 +85,7 @@ class EpisodeRunner:
         self.intrinsics = Intrinsics(task.intrinsics, self.scene)
         self.x_int = self.intrinsics.sample(n, "off", rng)
         self.terms = TaskTerms(task, self._reader, compiled)
+        self.causes = torch.zeros(len(self.terms.causes), n, dtype=torch.bool)
         self._check_names()
         self.memory: Memory = self.terms.no_memory
         observations = self.terms.observations
@@ -177,7 +179,7 @@ class EpisodeRunner:
         )
         self.sensor_errors.remember(exact)
         self.previous_action = self._action
-        self.steps, self.failed = self.steps + 1, outcome.terminated
+        self.steps, self.failed, self.causes = self.steps + 1, outcome.terminated, outcome.causes
         outcome.observed["moving_start"] = self.moving.unsqueeze(-1)
         return outcome
 
@@ -194,6 +196,7 @@ class EpisodeRunner:
         if TERMINATION in outcome.terms:
             outcome.terms[TERMINATION][rows] = self.terms.rewards.termination_cost
         outcome.terminated[rows] = True
+        outcome.causes[self.terms.causes.index(DIVERGED), rows] = True
         self.failed = outcome.terminated
 
     def observe(self, command: Tensor) -> Observed:

@@ -25,6 +25,8 @@ Observed = dict[NestedKey, Tensor]
 Memory = dict[str, Tensor]
 Errors = Mapping[NestedKey, Draw]
 """What is drawn of sensors' errors for a step, by the key of the group."""
+DIVERGED = "diverged"
+"""Cause of an early end beside the task's terminations: the simulation failed, or something is not finite."""
 
 
 @dataclass
@@ -35,6 +37,7 @@ class StepOutcome:
         reward: (N, 1).
         terms: the weighted reward terms by name, (N, 1) each.
         terminated: (N,) bool.
+        causes: which of :attr:`TaskTerms.causes` ended an episode, (causes, N) bool.
         observed: observations by key, (N, features) each, by key.
         finite: whether all of these are numbers, () bool.
     """
@@ -42,6 +45,7 @@ class StepOutcome:
     reward: Tensor
     terms: dict[str, Tensor]
     terminated: Tensor
+    causes: Tensor
     observed: Observed
     finite: Tensor
 
@@ -57,6 +61,7 @@ class TaskTerms:
     Attributes:
         rewards: the terms, and their sum.
         observations: the groups of terms.
+        causes: what ends episodes early, by name.
         no_memory: the memory of robots that stand, by name, (N, size) each.
 
     Raises:
@@ -77,6 +82,7 @@ class TaskTerms:
         self.rewards = RewardFunction(task.rewards, context, task.tracking)
         self.observations = Observations(task.observations, context)
         self._columns = {key: columns_of(sizes) for key, sizes in self.observations.sizes.items()}
+        self.causes = (DIVERGED, *task.terminations)
         self._compile()
 
     def _compile(self) -> None:
@@ -152,13 +158,15 @@ class TaskTerms:
         context.terminated = diverged
         context.memory = memory = memory_terms.updated(self.task.memory, context)
         finite = torch.isfinite(state.position.sum(-1) + state.joint_velocity.sum(-1))
-        ended = [diverged, ~finite, *(termination(context) for termination in self.task.terminations.values())]
-        context.terminated = torch.stack(ended).any(0)
+        terminations = self.task.terminations.values()
+        causes = torch.stack([diverged | ~finite, *(termination(context) for termination in terminations)])
+        context.terminated = causes.any(0)
         reward, terms = self.rewards(context)
         observed, exact = self._observed(context, x_int)
         finite = all_finite([*observed.values(), terms, reward])
         named = dict(zip(self.rewards.terms, terms.unbind()))
-        return StepOutcome(reward, named, context.terminated, observed, finite), velocities, memory, exact
+        outcome = StepOutcome(reward, named, context.terminated, causes, observed, finite)
+        return outcome, velocities, memory, exact
 
     def observe(self, command: Tensor, action: Tensor, memory: Memory, x_int: Tensor) -> Observed:
         """Return what all robots would observe now with exact sensors, by key, (N, features) each, raw SI units."""

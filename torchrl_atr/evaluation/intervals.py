@@ -1,0 +1,79 @@
+"""95 % confidence intervals of shares and of means over robots."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+Array = NDArray[np.float64]
+LEVEL = 0.95
+RESAMPLES = 1000
+"""Of a bootstrap."""
+_BATCH = 100
+"""Resamples held in memory at once."""
+
+
+def wilson(count: int, n: int) -> tuple[float, float]:
+    """Return Wilson's score interval of a share; (0, 1) without any trial.
+
+    Args:
+        count: successes.
+        n: independent trials.
+
+    Example:
+        >>> [round(end, 3) for end in wilson(51, 100)]
+        [0.413, 0.606]
+    """
+    if n == 0:
+        return 0.0, 1.0
+    interval = stats.binomtest(count, n).proportion_ci(LEVEL, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def pooled_mean(sums: Array, counts: Array, axis: int = -1) -> Array:
+    """Return the mean over all steps of all robots, (...); NaN where there is none.
+
+    Args:
+        sums: of each robot over its steps, (..., n).
+        counts: how many steps those are, (..., n).
+        axis: that of the robots.
+
+    Example:
+        >>> float(pooled_mean(np.array([1.0, 4.0]), np.array([1.0, 4.0])))
+        1.0
+    """
+    total, count = sums.sum(axis), counts.sum(axis)
+    return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
+
+
+def bootstrap(sums: Array, counts: Array, seed: int = 0) -> tuple[Array, Array]:
+    """Return the ends of the percentile bootstrap interval of :func:`pooled_mean`, (...) each; NaN of one robot.
+
+    Robots are drawn again, with all of their steps: these depend on each other.
+
+    Args:
+        sums: of each robot over its steps, (..., n).
+        counts: how many steps those are, (..., n).
+        seed: of the draws.
+
+    Example:
+        >>> low, high = bootstrap(np.array([1.0, 1.0, 1.0]), np.array([2.0, 2.0, 2.0]))
+        >>> float(low), float(high)
+        (0.5, 0.5)
+    """
+    if sums.shape[-1] < 2:
+        return np.full(sums.shape[:-1], np.nan), np.full(sums.shape[:-1], np.nan)
+    found = stats.bootstrap(
+        (sums, counts),
+        pooled_mean,
+        axis=-1,
+        paired=True,
+        vectorized=True,
+        n_resamples=RESAMPLES,
+        batch=_BATCH,
+        confidence_level=LEVEL,
+        method="percentile",
+        random_state=np.random.default_rng(seed),
+    )
+    return found.confidence_interval.low, found.confidence_interval.high
