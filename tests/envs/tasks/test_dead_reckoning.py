@@ -13,17 +13,15 @@ from torchrl_atr.envs import QuadrupedEnv
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.profiles import get_readings
 from torchrl_atr.envs.tasks import riding
-from torchrl_atr.envs.tasks.dead_reckoning import BIAS, DEAD_RECKONING, KEY, LEAK_TIME, START_STD
+from torchrl_atr.envs.tasks.dead_reckoning import BIAS, KEY, LEAK_TIME, METHODS, START_STD, dead_reckoning
 from torchrl_atr.envs.tasks.rotations import matrix_from_euler
-
-METHODS = tuple(DEAD_RECKONING)
 
 
 def drive(
     method: str, speed: float, yaw_rate: float, seconds: float, bias: float = 0.0, roll: float = 0.0
 ) -> tuple[Tensor, Tensor]:
     """What is observed and carried after a steady drive, (1, 3) and (1, size); the accelerometer has a bias along x."""
-    group, term = DEAD_RECKONING[method]
+    group, term = dead_reckoning(method)
     rotation = matrix_from_euler(*torch.tensor([[roll], [0.0], [0.0]]))
     euler = torch.tensor([[roll, 0.0, 0.0]])
     state = SimpleNamespace(rotation=rotation, euler=euler, velocity=torch.tensor([[speed, 0.0, 0.0]]))
@@ -76,7 +74,7 @@ def test_a_covariance_stays_symmetric_and_positive():
 @pytest.mark.parametrize("method", METHODS)
 def test_the_mirror_image_of_a_turn_is_reckoned_as_the_mirror_image(method):
     ours, theirs = (drive(method, 1.0, side * 0.5, 5.0, roll=side * 0.1)[0] for side in (1.0, -1.0))
-    torch.testing.assert_close(ours * torch.tensor(DEAD_RECKONING[method][0][KEY].mirror), theirs)
+    torch.testing.assert_close(ours * torch.tensor(METHODS[method].mirror), theirs)
 
 
 @pytest.mark.parametrize("method", METHODS)

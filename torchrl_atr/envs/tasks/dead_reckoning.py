@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from torchrl_atr._checks import check_choice
 from torchrl_atr.envs.physics.engine import CONTROL_DT
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
@@ -49,31 +52,32 @@ def _acceleration(c: StepContext) -> Tensor:
     return measured - GRAVITY * matrix_from_euler(roll, pitch, torch.zeros_like(roll))[:, 2]
 
 
-def integral(c: StepContext) -> Tensor:
+def integral(c: StepContext, key: str = KEY) -> Tensor:
     """Integrate the measured acceleration: the velocity before, turned back by ω_B dt, plus v̇_B dt.
 
     Exact with exact sensors; the bias of a real accelerometer, 0.05 m/s², makes it drift by 3 m/s in a minute.
 
     Args:
-        c: its memory is the velocity before the step, body frame, m/s, (N, 3).
+        c: its memory ``key`` is the velocity before the step, body frame, m/s, (N, 3).
+        key: name of the memory term.
 
     Returns:
         (N, 3), body frame, m/s.
     """
-    turned = rotate_about(c.memory[KEY], -CONTROL_DT * c.sensed("angular_velocity"))
+    turned = rotate_about(c.memory[key], -CONTROL_DT * c.sensed("angular_velocity"))
     return turned + CONTROL_DT * _acceleration(c)
 
 
-def leaky_integral(c: StepContext) -> Tensor:
+def leaky_integral(c: StepContext, key: str = KEY) -> Tensor:
     """Integrate likewise, and forget with :data:`LEAK_TIME`: errors stay bounded, steady speeds fade.
 
     Returns:
         (N, 3), body frame, m/s.
     """
-    return math.exp(-CONTROL_DT / LEAK_TIME) * integral(c)
+    return math.exp(-CONTROL_DT / LEAK_TIME) * integral(c, key)
 
 
-def kalman_filter(c: StepContext) -> Tensor:
+def kalman_filter(c: StepContext, key: str = KEY) -> Tensor:
     """Estimate velocity and accelerometer bias with a Kalman filter that knows: a transporter does not move sideways.
 
     The state is [v_x, v_y, b_x, b_y] in the frame that turns with the body's yaw ψ and is level: v̇ = a - b - ψ̇ × v, and
@@ -81,12 +85,13 @@ def kalman_filter(c: StepContext) -> Tensor:
     vehicles: in a turn, the acceleration to the side is ψ̇ v_x, so that a wrong v_x shows, and so does b.
 
     Args:
-        c: its memory is the state (4) and its covariance (16), (N, 20).
+        c: its memory ``key`` is the state (4) and its covariance (16), (N, 20).
+        key: name of the memory term.
 
     Returns:
         The same after the step, (N, 20), m/s and m/s².
     """
-    state, covariance = c.memory[KEY][:, :4], c.memory[KEY][:, 4:].unflatten(-1, (4, 4))
+    state, covariance = c.memory[key][:, :4], c.memory[key][:, 4:].unflatten(-1, (4, 4))
     acceleration, yaw_rate = _level(c)
     transition = _transition(yaw_rate)
     moved = pad(CONTROL_DT * acceleration, (0, 2))
@@ -136,23 +141,49 @@ def _start_filter(c: StepContext) -> Tensor:
     return torch.cat([pad(velocity, (0, 2)), covariance], -1)
 
 
-def _velocity(c: StepContext) -> Tensor:
-    return c.memory[KEY]
+def _velocity(c: StepContext, key: str) -> Tensor:
+    return c.memory[key]
 
 
-def _filtered(c: StepContext) -> Tensor:
+def _filtered(c: StepContext, key: str) -> Tensor:
     """Return v_x and v_y along and across the heading, and the standard deviation of v_x, m/s, (N, 3)."""
-    memory = c.memory[KEY]
+    memory = c.memory[key]
     return torch.cat([memory[:, :2], memory[:, 4:5].clamp_min(0.0).sqrt()], -1)
 
 
-_OBSERVED: Group = {KEY: ObservationTerm(_velocity, mirrors.POLAR, parts="xyz", unit="m/s")}
-_FILTERED: Group = {
-    KEY: ObservationTerm(_filtered, (1.0, -1.0, 1.0), parts=("x", "y", "std"), unit="m/s"),
+class _Method(NamedTuple):
+    size: int
+    update: Callable[[StepContext, str], Tensor]
+    start: Callable[[StepContext], Tensor]
+    observe: Callable[[StepContext, str], Tensor]
+    mirror: tuple[float, ...]
+    parts: tuple[str, ...]
+
+
+METHODS: Mapping[str, _Method] = {
+    "integral": _Method(3, integral, _start, _velocity, mirrors.POLAR, ("x", "y", "z")),
+    "leaky_integral": _Method(3, leaky_integral, _start, _velocity, mirrors.POLAR, ("x", "y", "z")),
+    "kalman_filter": _Method(20, kalman_filter, _start_filter, _filtered, (1.0, -1.0, 1.0), ("x", "y", "std")),
 }
-DEAD_RECKONING: Mapping[str, tuple[Group, MemoryTerm]] = {
-    "integral": (_OBSERVED, MemoryTerm(3, integral, _start)),
-    "leaky_integral": (_OBSERVED, MemoryTerm(3, leaky_integral, _start)),
-    "kalman_filter": (_FILTERED, MemoryTerm(20, kalman_filter, _start_filter)),
-}
-"""What is observed as ``dead_reckoned_velocity``, (N, 3) each, and what is carried for it, by name."""
+"""By name; what each observes is (N, 3), m/s."""
+
+
+def dead_reckoning(method: str = "kalman_filter", key: str = KEY) -> tuple[Group, MemoryTerm]:
+    """Return the group that observes a dead-reckoned velocity, and the memory term that it needs.
+
+    Args:
+        method: one of :data:`METHODS`.
+        key: name of the memory term, and of the observation.
+
+    Raises:
+        UnknownNameError: for an unknown method.
+
+    Example:
+        >>> from torchrl_atr.envs.tasks import riding
+        >>> task, (group, memory) = riding(), dead_reckoning("integral", "drifting")
+        >>> task = task.replace(memory={**task.memory, "drifting": memory}).with_observation("drifting", **group)
+    """
+    check_choice("dead_reckoning", method, tuple(METHODS))
+    chosen = METHODS[method]
+    term = ObservationTerm(partial(chosen.observe, key=key), chosen.mirror, parts=chosen.parts, unit="m/s")
+    return {key: term}, MemoryTerm(chosen.size, partial(chosen.update, key=key), chosen.start)

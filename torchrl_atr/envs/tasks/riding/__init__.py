@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from torchrl_atr._checks import check_choice, check_flag, check_number
+from torchrl_atr._checks import check_flag, check_number
 from torchrl_atr.envs.models import RobotSpec, Transporter, TransporterSpec, get_robot, get_transporter
 from torchrl_atr.envs.models.robot_file import describe_robot
 from torchrl_atr.envs.models.transporter import describe_transporter
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.tasks import mirrors
-from torchrl_atr.envs.tasks.dead_reckoning import DEAD_RECKONING, KEY
+from torchrl_atr.envs.tasks.dead_reckoning import KEY
+from torchrl_atr.envs.tasks.dead_reckoning import dead_reckoning as dead_reckoning_of
 from torchrl_atr.envs.tasks.events import PUSH_INTERVAL, Disturbance
 from torchrl_atr.envs.tasks.proprioception import PROPRIO
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
@@ -63,7 +64,7 @@ def riding(
         profile: name of a profile, or :class:`~torchrl_atr.envs.profiles.Readings`.
         sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or one of your own.
         dead_reckoning: how ``dead_reckoned_velocity`` is computed, a name of
-            :data:`~torchrl_atr.envs.tasks.dead_reckoning.DEAD_RECKONING`.
+            :data:`~torchrl_atr.envs.tasks.dead_reckoning.METHODS`.
         pushes: whether robot and platform are pushed every 3 s.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
@@ -87,8 +88,7 @@ def riding(
     check_flag("pushes", pushes)
     moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
     displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
-    check_choice("dead_reckoning", dead_reckoning, tuple(DEAD_RECKONING))
-    dead_reckoned, filtered = DEAD_RECKONING[dead_reckoning]
+    dead_reckoned, velocity = dead_reckoning_of(dead_reckoning)
     readings = get_readings(profile)
     rider = get_robot(robot)
     spec = get_transporter(transporter, rider)
@@ -103,7 +103,7 @@ def riding(
         terminations=TERMINATIONS,
         reset=start(moving_start, displaced_start),
         disturbances={"push": Disturbance(push, PUSH_INTERVAL)} if pushes else {},
-        memory={KEY: filtered},
+        memory={KEY: velocity},
         tracking=("forward_command", "steering_command"),
         state_reader=RidingStateReader,
         hook=DriveHook,

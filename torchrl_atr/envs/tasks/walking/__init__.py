@@ -14,7 +14,7 @@ from torchrl_atr.envs.models.robot_file import describe_robot
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
-from torchrl_atr.envs.tasks.dead_reckoning import DEAD_RECKONING, KEY
+from torchrl_atr.envs.tasks.dead_reckoning import KEY, dead_reckoning
 from torchrl_atr.envs.tasks.events import PUSH_INTERVAL, Disturbance, push_robot, tilted, too_low
 from torchrl_atr.envs.tasks.observation_terms import ObservationTerm
 from torchrl_atr.envs.tasks.parameters import robot_parameters
@@ -68,7 +68,7 @@ def walking(
     grid = CommandGrid(
         bounds, (0.25, 0.25), bounds, (0.25, 0.25), forward_only=True, still=0.1, turning=0.1, straight=0.15
     )
-    dead_reckoned, integrated = DEAD_RECKONING["integral"]
+    dead_reckoned, integrated = dead_reckoning("integral")
     arguments: dict[str, Any] = {"robot": describe_robot(robot)}
     return Task(
         name="walking",
