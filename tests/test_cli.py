@@ -75,6 +75,29 @@ def test_train_evaluate_resume(tmp_path, capsys):
     assert json.loads((run / "run.json").read_text())["frames"] == 48
 
 
+def test_endurance_beside_tracking(tmp_path, capsys):
+    run = tmp_path / "run"
+    assert main(["train", *TINY, "--total-frames", "8", "--output", str(run)]) == 0
+    asked = ["evaluate", str(run), "--protocol", "endurance", "--robots", "3", "--seconds", "1"]
+    assert main(asked) == 0
+    assert "up at 1 s, share" in capsys.readouterr().out
+    report = run / "endurance"
+    metrics = json.loads((report / "metrics.json").read_text())
+    assert {"metrics.json", "endurance.npz", "endurance.png"} <= {file.name for file in report.iterdir()}
+    assert not (run / "metrics.json").exists()
+    assert (metrics["protocol"], metrics["n"], metrics["push_seconds"]) == ("endurance", 3, 3.0)
+    assert "privileged.intrinsic" not in metrics["policy_reads"]
+    still = ["--max-speed", "0", "--max-yaw-rate", "0", "--no-pushes", "--act-source", "privileged"]
+    assert main([*asked, *still, "--checkpoint", "last", "--output", str(tmp_path / "still")]) == 0
+    metrics = json.loads((tmp_path / "still" / "metrics.json").read_text())
+    assert metrics["commands"] == {"low": [0.0, 0.0], "high": [0.0, 0.0]}
+    assert metrics["push_seconds"] is None
+    assert "privileged.intrinsic" in metrics["policy_reads"]
+    assert metrics["evaluation"]["act_source"] == "privileged"
+    assert main([*asked, "--transporter", "two_board"]) == 2
+    assert "give another folder with --output" in capsys.readouterr().err
+
+
 def test_a_policy_rides_another_transporter_by_name(tmp_path, capsys, monkeypatch):
     run, report = tmp_path / "run", tmp_path / "report"
     assert main(["train", *TINY, "--total-frames", "8", "--output", str(run)]) == 0

@@ -7,7 +7,7 @@ from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import Compose, EnvBase, TransformedEnv
 
 from torchrl_atr.envs.transforms import CommandCurriculum
-from torchrl_atr.evaluation import evaluate_tracking
+from torchrl_atr.evaluation import evaluate_endurance, evaluate_tracking
 
 TRACKING = (("reward_terms", "forward_command"), ("reward_terms", "steering_command"))
 
@@ -91,3 +91,15 @@ def random_result(evaluate):
         return action.where(torch.rand(len(command), 1, generator=generator) > 0.02, torch.tensor(np.nan))
 
     return evaluate(noisy, robots=4)
+
+
+@pytest.fixture
+def endure():
+    """Rides the puppet for two commands of a second, ten steps each, the first 0.3 s of which settle."""
+
+    def run(function, robots=4, make_env=puppet_env, **options):
+        policy = function if isinstance(function, torch.nn.Module) else policy_of(function)
+        options = {"seconds": 2.0, "command_seconds": 1.0, "settle": 0.3, "speeds": puppet_speeds, "dt": 0.1, **options}
+        return evaluate_endurance(policy, make_env, robots, **options)
+
+    return run

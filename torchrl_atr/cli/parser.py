@@ -73,7 +73,9 @@ _seed = _number(int, 0, 2**31 - 1)
 
 def option(name: str) -> str:
     """What the command line calls a setting."""
-    return {"imports": "--import", "overrides": "--set", "start": "--from"}.get(name, f"--{name.replace('_', '-')}")
+    return {"imports": "--import", "overrides": "--set", "start": "--from", "pushes": "--no-pushes"}.get(
+        name, f"--{name.replace('_', '-')}"
+    )
 
 
 def build_parser() -> argparse.ArgumentParser:

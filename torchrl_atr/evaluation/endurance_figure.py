@@ -35,7 +35,7 @@ def plot_endurance(metrics: Mapping[str, Any], path: str | Path) -> Path:
             _band(axis, {"seconds": curves["seconds"], **curves[name]}, colour, label, unit)
             axis.axhline(still[f"settled_{name}_error"], ls=":", color=GREY, lw=1.2, label="board that never moves")
             axis.set_ylim(bottom=0)
-            axis.legend(loc="upper left")
+            axis.legend(loc="best")
         _causes(axes[1, 0], metrics)
         _intrinsics(axes[1, 1], metrics["fallen"]["intrinsics"])
         estimate = metrics["estimate_over_time"]

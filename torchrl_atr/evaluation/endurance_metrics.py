@@ -156,7 +156,7 @@ def falls_after(result: EnduranceResult) -> dict[str, Any]:
             "falls": soon,
             "share": soon / falls if falls else math.nan,
             "share_interval": list(wilson(soon, falls)),
-            "expected": min(1.0, within / intervals[name]),
+            "expected": float(np.minimum(1.0, within / intervals[name])),
             "median": float(np.median(known)) if known.size else math.nan,
         }
     return entries

@@ -10,8 +10,6 @@ Array = NDArray[np.float64]
 LEVEL = 0.95
 RESAMPLES = 1000
 """Of a bootstrap."""
-_BATCH = 100
-"""Resamples held in memory at once."""
 
 
 def wilson(count: int, n: int) -> tuple[float, float]:
@@ -31,26 +29,26 @@ def wilson(count: int, n: int) -> tuple[float, float]:
     return float(interval.low), float(interval.high)
 
 
-def pooled_mean(sums: Array, counts: Array, axis: int = -1) -> Array:
+def pooled_mean(sums: Array, counts: Array) -> Array:
     """Return the mean over all steps of all robots, (...); NaN where there is none.
 
     Args:
         sums: of each robot over its steps, (..., n).
         counts: how many steps those are, (..., n).
-        axis: that of the robots.
 
     Example:
         >>> float(pooled_mean(np.array([1.0, 4.0]), np.array([1.0, 4.0])))
         1.0
     """
-    total, count = sums.sum(axis), counts.sum(axis)
+    total, count = sums.sum(-1), counts.sum(-1)
     return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
 
 
 def bootstrap(sums: Array, counts: Array, seed: int = 0) -> tuple[Array, Array]:
     """Return the ends of the percentile bootstrap interval of :func:`pooled_mean`, (...) each; NaN of one robot.
 
-    Robots are drawn again, with all of their steps: these depend on each other.
+    Robots are drawn again, with all of their steps: these depend on each other. Draws without any step are left out,
+    which ``scipy.stats.bootstrap`` cannot do: it would have no interval where few robots are still up.
 
     Args:
         sums: of each robot over its steps, (..., n).
@@ -62,18 +60,11 @@ def bootstrap(sums: Array, counts: Array, seed: int = 0) -> tuple[Array, Array]:
         >>> float(low), float(high)
         (0.5, 0.5)
     """
-    if sums.shape[-1] < 2:
-        return np.full(sums.shape[:-1], np.nan), np.full(sums.shape[:-1], np.nan)
-    found = stats.bootstrap(
-        (sums, counts),
-        pooled_mean,
-        axis=-1,
-        paired=True,
-        vectorized=True,
-        n_resamples=RESAMPLES,
-        batch=_BATCH,
-        confidence_level=LEVEL,
-        method="percentile",
-        random_state=np.random.default_rng(seed),
-    )
-    return found.confidence_interval.low, found.confidence_interval.high
+    n = sums.shape[-1]
+    draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(np.float64)
+    total, count = sums @ draws.T, counts @ draws.T
+    means = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    known = ((counts > 0).sum(-1) > 1)[..., None]  # one robot says nothing about others
+    ends = np.nanquantile(np.where(known, means, 0.0), [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0], axis=-1)
+    low, high = np.where(known[..., 0], ends, np.nan)
+    return low, high
