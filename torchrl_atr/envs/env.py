@@ -16,6 +16,7 @@ from torchrl.envs import EnvBase
 from torchrl_atr._checks import check_kind, check_whole
 from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
+from torchrl_atr._threads import one_torch_thread_if_small
 from torchrl_atr.envs.models import Scene, build_scene
 from torchrl_atr.envs.physics import DECIMATION, Engine, PhysicsEngine, make_engine
 from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
@@ -198,6 +199,7 @@ class QuadrupedEnv(EnvBase):
         self.runner.failed = torch.zeros_like(self.runner.failed)  # who failed before the seed does not try again
 
     @keeps_normal_tensors
+    @one_torch_thread_if_small
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         n = self.batch_size[0]
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -210,6 +212,7 @@ class QuadrupedEnv(EnvBase):
         return self._pack(terminated=torch.zeros(n, dtype=torch.bool))
 
     @keeps_normal_tensors
+    @one_torch_thread_if_small
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         command = self._command(tensordict)
         action = tensordict.get("action", None)
