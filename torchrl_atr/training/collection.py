@@ -169,6 +169,15 @@ class Collection:
             return here
         return sum(self.collector.get_distant_attr("env.base_env.num_diverged")) if self.callable else None
 
+    def metrics(self) -> dict[str, float]:
+        """Return how far the commands reach, where there is a curriculum, and ``diverged``, where it is known."""
+        metrics: dict[str, float] = {}
+        if self.curriculum is not None:
+            metrics["command_area"] = self.curriculum.command_area[0]
+            metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
+        diverged = self.num_diverged  # asks the workers
+        return metrics if diverged is None else {**metrics, "diverged": diverged}
+
     def state_dict(self) -> dict[str, Any]:
         """What the next batch depends on besides the networks, in plain dicts of tensors; empty with workers.
 

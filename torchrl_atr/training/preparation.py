@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +35,7 @@ def check_given(
 
     Raises:
         CheckpointError: if a checkpoint lacks something, or parts that were its run's own are not given.
-        ConfigError: if a part or the logger cannot be used, both runs are one, or the checkpoint is of other learners.
+        ConfigError: if a part or the logger cannot be used, or both runs are one.
     """
     if not isinstance(config, TrainConfig):
         raise ConfigError(f"config={config!r}; give a TrainConfig, such as make_config({{'num_envs': 512}})")
@@ -47,12 +47,8 @@ def check_given(
         raise ConfigError(f"logger={logger!r} lacks {missing[0]}; give one of torchrl.record.loggers")
     if state is not None:
         parts.check_complete(state, run, FACTORIES)
-        learners = 1 + len(state.get("members", []))
-        if learners != config.learners:
-            raise ConfigError(
-                f"learners={config.learners}: the checkpoint is of {learners}; go on with as many, or begin a new run "
-                "with --from"
-            )
+        if state.get("members"):
+            raise ConfigError(f"{run} was trained by several learners, which are gone; begin a new run with --from")
     if start is None:
         return None
     other = read_other(start, run)
@@ -67,7 +63,7 @@ def trained_networks(
     parts: Parts,
     state: Mapping[str, Any] | None,
     other: Mapping[str, Any] | None,
-    replaced: Collection[str],
+    replaced: Iterable[str],
 ) -> Any:
     """Return a run's networks on the learner's device, with the weights of either checkpoint.
 

@@ -19,6 +19,8 @@ MODEL = "model"
 """Folder of a run that holds its robot's and its transporter's files."""
 DUMPS = "diverged"
 """Folder of a run that simulations which failed are written to."""
+_GONE = ("learners",)
+"""Settings of earlier versions that no longer change anything."""
 
 
 def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
@@ -84,4 +86,5 @@ def located_settings(settings: Mapping[str, Any], folder: Path) -> dict[str, Any
         '/runs/one/model/robot/mine.toml'
     """
     files = {name: settings[name] for name in COPIES if is_spec_file(settings.get(name))}
-    return {**settings, **{name: str(folder.resolve() / value) for name, value in files.items()}}
+    known = {name: value for name, value in settings.items() if name not in _GONE}
+    return {**known, **{name: str(folder.resolve() / value) for name, value in files.items()}}
