@@ -105,13 +105,13 @@ def test_the_columns_of_a_replay_do_not_run_together(value):
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e9, float("nan")])
 def test_lines_of_training_fit_120_columns(tmp_path, capsys, size):
     progress = progress_module.Progress(tmp_path, TrainConfig())
-    progress._shown = {each.name: 1.2345 * size for each in progress_module._SHOWN}
+    progress._shown = {each.name: 1.2345 * size for each in progress_module._COLUMNS}
     progress._shown |= {"frames": 123_456_789, "minutes": 60.0 * 99}
     lines = [*progress_module._HEAD.splitlines(), progress._line()]
     assert {len(line) for line in lines} == {119}
-    assert len(lines[-1].split()) == len(progress_module._SHOWN) + 1
+    assert len(lines[-1].split()) == len(progress_module._COLUMNS) + 1
     progress._shown = {"frames": 100, "minutes": 1.0}  # what the first iterations lack
-    assert progress._line().split()[1:-1] == ["-"] * (len(progress_module._SHOWN) - 1)
+    assert progress._line().split()[1:-1] == ["-"] * (len(progress_module._COLUMNS) - 1)
 
 
 def test_training_ends_with_where_the_run_is_and_what_comes_next(tmp_path, capsys, monkeypatch):

@@ -99,6 +99,7 @@ class TrainConfig:
             task's bins (riding: 0.2); 0 for the task's own.
         runaway_speed, runaway_yaw_rate: how much faster than any command a transporter may get before its episode ends.
         checkpoint_seconds: longest time between checkpoints.
+        logger: beside ``progress.csv``: ``tensorboard``, ``wandb``, ``mlflow``, or ``csv`` for that file alone.
     """
 
     task: str = "riding"
@@ -169,6 +170,7 @@ class TrainConfig:
     runaway_speed: float = 2.0
     runaway_yaw_rate: float = 2.0
     checkpoint_seconds: float = 60.0
+    logger: str = "tensorboard"
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):

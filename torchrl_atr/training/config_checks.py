@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 COLLECTORS = ("direct", "process", "ray", "distributed")
 """Engines that collect batches."""
+LOGGERS = ("csv", "tensorboard", "wandb", "mlflow")
+"""Loggers of a run's metrics."""
 
 
 class ConfigError(UserError, ValueError):
@@ -85,6 +87,8 @@ def _check_times(config: TrainConfig) -> None:
 def _check_processes(config: TrainConfig) -> None:
     if config.collector not in COLLECTORS:
         raise ConfigError(f"collector={config.collector!r} is unknown; choose one of {', '.join(COLLECTORS)}")
+    if config.logger not in LOGGERS:
+        raise ConfigError(f"logger={config.logger!r} is unknown; choose one of {', '.join(LOGGERS)}")
     if config.collector != "direct" and config.num_envs % config.workers:
         raise ConfigError(
             f"num_envs={config.num_envs} cannot be shared evenly by workers={config.workers}; choose a multiple of it"

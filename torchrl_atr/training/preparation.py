@@ -13,6 +13,7 @@ from torchrl_atr.envs.models.identity import Description, describe
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.config_checks import ConfigError
 from torchrl_atr.training.env_access import attribute
+from torchrl_atr.training.loggers import check_logger
 from torchrl_atr.training.parts import FACTORIES, Parts
 from torchrl_atr.training.restoring import check_model, deployed_weights, load_networks, other_parts, read_other
 
@@ -45,6 +46,8 @@ def check_given(
     missing = [name for name in ("log_metrics", "log_hparams") if not hasattr(logger, name)]
     if logger is not None and missing:
         raise ConfigError(f"logger={logger!r} lacks {missing[0]}; give one of torchrl.record.loggers")
+    if logger is None:
+        check_logger(config.logger)
     if state is not None:
         parts.check_complete(state, run, FACTORIES)
         if state.get("members"):

@@ -59,9 +59,9 @@ def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
 
 def clear(run: Path) -> None:
     """Remove what an earlier run wrote to the folder: two runs' checkpoints and logs must not mix."""
-    for name in (NAME, PREVIOUS, BEST, "progress.csv"):
+    for name in (NAME, PREVIOUS, BEST, "progress.csv", "mlflow.db"):
         (run / name).unlink(missing_ok=True)
-    for name in ("tensorboard", DUMPS):
+    for name in ("tensorboard", "wandb", DUMPS):
         shutil.rmtree(run / name, ignore_errors=True)
 
 
