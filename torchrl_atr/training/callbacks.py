@@ -166,19 +166,12 @@ class Callbacks:
         """Return what a hook of each returns."""
         return [getattr(callback, hook)(*arguments) for callback in self._by_hook[hook]]
 
-    def batch(self, batch: TensorDictBase) -> TensorDictBase:
-        """Return the batch after :meth:`Callback.on_batch` of each; the one given keeps its entries."""
-        return self._through("on_batch", batch)
+    def through(self, hook: str, data: TensorDictBase, *arguments: Any) -> TensorDictBase:
+        """Return ``data`` after a hook of each; what is given keeps its entries.
 
-    def minibatch(self, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
-        """Return the minibatch after :meth:`Callback.on_minibatch` of each; the one given keeps its entries."""
-        return self._through("on_minibatch", minibatch, phase)
-
-    def loss(self, terms: TensorDictBase, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
-        """Return the terms after :meth:`Callback.on_loss` of each; those given keep their entries."""
-        return self._through("on_loss", terms, minibatch, phase)
-
-    def _through(self, hook: str, data: TensorDictBase, *arguments: Any) -> TensorDictBase:
+        Raises:
+            ConfigError: if one returns something else than a TensorDict.
+        """
         for callback in self._by_hook[hook]:
             data = getattr(callback, hook)(data.copy(), *arguments)
             if not isinstance(data, TensorDictBase):

@@ -20,6 +20,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._errors import UserError, first_line
+from torchrl_atr._torchrl_private import carried_root
 from torchrl_atr.modules import OnDevice
 from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
@@ -190,7 +191,7 @@ class Collection:
         return {
             **env,
             "policy": {name: part.get_extra_state() for name, part in self._stateful()},
-            "carried": self.collector._carrier.to_dict(),  # the root of the next step; TorchRL's state_dict lacks it
+            "carried": carried_root(self.collector).to_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -205,7 +206,7 @@ class Collection:
         for name, part in self._stateful():
             part.set_extra_state(state["policy"][name])
         carried = TensorDict(state["carried"], batch_size=self.env.batch_size)
-        self.collector._carrier.update(carried.exclude("reward_terms"))  # which were carried once
+        carried_root(self.collector).update(carried.exclude("reward_terms"))  # which were carried once
 
     def _stateful(self) -> list[tuple[str, Any]]:
         """Parts of the policy with a state that is no parameter: noise that runs on."""

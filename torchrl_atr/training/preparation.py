@@ -107,7 +107,8 @@ def model_of(env: EnvBase) -> Description | None:
 def init_normalizers(networks: Any, env: EnvBase, steps: int, device: str) -> None:
     """Give normalisers means and scales of random actions to start from.
 
-    A step at a time: a rollout would hold every history.
+    It stands for ``ObservationNorm.init_stats`` of TorchRL's transforms, whose numbers stay with the env; these are
+    deployed with the networks. A step at a time: a rollout would hold every history.
 
     Args:
         networks: whose normalisers they are.

@@ -18,7 +18,7 @@ from torchrl_atr.envs.models.identity import digest
 from torchrl_atr.training import env_access
 from torchrl_atr.training.assembly import make_policy, make_reward_schedule
 from torchrl_atr.training.callbacks import Callback, Callbacks
-from torchrl_atr.training.checkpoint import NAME, save_checkpoint
+from torchrl_atr.training.checkpoint import NAME, load_rng_state, rng_state, save_checkpoint
 from torchrl_atr.training.collection import Collection, CollectionError
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.learner import Learner
@@ -185,7 +185,7 @@ class Trainer:
         collection = Collection(self.config, self.env, self._env_maker, policy, self.iteration)
         if self._carried:
             collection.load_state_dict(self._carried["collection"])
-            torch.set_rng_state(self._carried["rng"])  # last: building all this drew from it
+            load_rng_state(self._carried["rng"])  # last: building all this drew from it
         return collection
 
     def _close(self) -> None:
@@ -229,7 +229,7 @@ class Trainer:
         self.threads.update()
         self.learner.anneal(self.progress_made)
         started = time.monotonic()
-        batch = self.parts.callbacks.batch(self.collection.collect())
+        batch = self.parts.callbacks.through("on_batch", self.collection.collect())
         collected = time.monotonic()
         metrics = {**batch_metrics(batch), **self.learner.update(batch)}
         self.collection.publish()
@@ -264,8 +264,8 @@ class Trainer:
     def _state(self, origin: dict[str, Any]) -> dict[str, Any]:
         """All that a resumed run depends on."""
         if "collection" in vars(self):
-            self._carried = {"collection": self.collection.state_dict(), "rng": torch.get_rng_state()}
-        carried = self._carried or {"collection": {}, "rng": torch.get_rng_state()}
+            self._carried = {"collection": self.collection.state_dict(), "rng": rng_state()}
+        carried = self._carried or {"collection": {}, "rng": rng_state()}
         return {
             "config": stored_settings(self.config, self.run),
             "model": self._model,
