@@ -1,7 +1,7 @@
 """The learner: one batch in, better networks out. PPO with its epochs, then the estimators with theirs.
 
 It stands for TorchRL's ``PPOTrainer`` with its ``OptimizationStepper``: that minimises the sum of all losses with one
-optimiser, where estimators have epochs of their own here, and reads the divergence of each step from the GPU.
+optimiser, where estimators have epochs of their own here, and waits for a GPU at each step.
 """
 
 from __future__ import annotations

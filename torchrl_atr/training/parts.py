@@ -68,8 +68,8 @@ LossFactory = Callable[[Any], Any]
 class Parts:
     """What a run is made of besides its configuration; what is None is the recipe's, from the configuration.
 
-    It stands for the Hydra configurations of ``torchrl.trainers.algorithms.configs``, which make parts by name, but do not
-    look whether what they made can be trained.
+    It stands for the Hydra configurations of ``torchrl.trainers.algorithms.configs``, which make parts by name, but do
+    not look whether what they made can be trained.
 
     Attributes:
         make_env: see :class:`EnvFactory`.
