@@ -66,7 +66,8 @@ class TorchThreads:
 
     Every operation of torch ends when the last of its threads does. Where another process keeps one of them from its
     CPU, all others wait, and training is many times slower than with fewer threads. So the number is halved until it
-    fits the free CPUs, and doubled when they are free again. A line says so the first time.
+    fits the free CPUs, and doubled when they are free again. A line says so the first time. torch's own number, and the
+    ``num_threads`` of TorchRL's collectors, are fixed.
 
     Args:
         limit: the most threads; 0 for as many as torch has, within the CPUs that this process may use.

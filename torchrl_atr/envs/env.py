@@ -88,7 +88,6 @@ class QuadrupedEnv(EnvBase):
     """
 
     batch_locked = True
-    _has_frame_skip = True  # no attribute of ours may be taken for a frame skip
 
     @keeps_normal_tensors
     def __init__(
@@ -261,8 +260,7 @@ class QuadrupedEnv(EnvBase):
         terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape, dtype=torch.float32).unbind()))
         flags = {"terminated": terminated, "truncated": torch.zeros_like(terminated), "done": terminated.clone()}
         entries = {**nested(self._emitted), "reward_terms": terms, **flags, **more}
-        # not looked through entry by entry, a tenth of a millisecond a step: shapes and device are the env's own
-        return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
+        return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
     def get_state(self) -> TensorDict:
         """Return everything :meth:`set_state` needs to continue from here bit for bit, on either engine.
