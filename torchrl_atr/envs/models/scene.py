@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from torchrl_atr.envs.models.contacts import CONTACTS
 from torchrl_atr.envs.models.feet import find_feet
 from torchrl_atr.envs.models.isolation import check_names
 from torchrl_atr.envs.models.loading import compile_spec, load_robot
@@ -131,9 +132,9 @@ def _set_options(spec: mujoco.MjSpec) -> None:
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.iterations, option.ls_iterations = 10, 20
+    CONTACTS.write(option)
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     spec.memory = 1 << 20
 
