@@ -92,8 +92,8 @@ def page(report: Mapping[str, Any]) -> str:
     lasting = report["evaluations"]["endurance"]
     drift, (low, high) = lasting["estimate_drift"], lasting["estimate_drift_interval"]
     lines += [
-        f"The error of the estimated platform speed in the last 10 s of a minute is {drift:.2f} [{low:.2f}, {high:.2f}] "
-        "times that in the first 10 s.",
+        f"The error of the estimated platform speed in the last 10 s of a minute is {drift:.2f} times "
+        f"[{low:.2f}, {high:.2f}] that in the first 10 s.",
         "",
     ]
     return "\n".join(lines)
