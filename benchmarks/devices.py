@@ -48,8 +48,8 @@ def measure(loops: Sequence[TrainingLoop], rounds: int, seconds: float) -> list[
             kept += iterations if turn else []
     return [
         {
-            "num_envs": loop.config.num_envs,
-            "device": loop.config.device,
+            "num_envs": loop.config.env.num_envs,
+            "device": loop.config.compute.device,
             **{name: statistics.median(metrics[name] for metrics in kept) for name in COLUMNS},
         }
         for loop, kept in zip(loops, samples)

@@ -47,7 +47,7 @@ class TrainingLoop:
     def contender(self, threads: int) -> Contender:
         """For timing."""
         name = TRAINED["riding_" if self.riding else ""]
-        return Contender(Key(name, self.config.num_envs, threads), self.iterate, self.close)
+        return Contender(Key(name, self.config.env.num_envs, threads), self.iterate, self.close)
 
 
 def flops_per_frame(config: TrainConfig, folder: Path) -> float:

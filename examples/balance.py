@@ -12,7 +12,7 @@ import torch
 from torchrl_atr.envs.models import Support, get_robot
 from torchrl_atr.envs.models.support import touch
 from torchrl_atr.envs.physics import SubstepHook
-from torchrl_atr.envs.profiles import get_readings
+from torchrl_atr.envs.interpretation import get_interpretation
 from torchrl_atr.envs.tasks import TASKS, CommandSpace, ObservationTerm, RewardTerm, Task
 from torchrl_atr.envs.tasks.events import tilted, too_low
 from torchrl_atr.envs.tasks.parameters import robot_parameters
@@ -82,7 +82,7 @@ def plate_tilt(c):
 
 def balance(robot="a1", profile="default"):
     """Return the task."""
-    walker, readings = get_robot(robot), get_readings(profile)
+    walker, readings = get_robot(robot), get_interpretation(profile)
     grid = CommandGrid((0.2, 0.1), (0.1, 0.1), (0.1, 0.1), (0.1, 0.1))
     told = {f"at_{axis}": RewardTerm(partial(near, i), 4.0) for i, axis in enumerate("xy")}
     return Task(

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from torchrl_atr.envs.env import QuadrupedEnv
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec
 from torchrl_atr.envs.physics import PhysicsEngine
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardTerm, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 
@@ -38,7 +38,7 @@ class RidingEnv(QuadrupedEnv):
         num_envs: int = 256,
         physics: PhysicsEngine = "batch",
         randomization: Randomization = "train",
-        profile: str | Readings = "default",
+        profile: str | Interpretation = "default",
         num_threads: int | None = None,
         pushes: bool = True,
         moving_start: float = 0.0,

@@ -99,8 +99,10 @@ class Member:
 
 def torch_threads(config: TrainConfig, announce: Callable[[str], object] | None = say) -> TorchThreads:
     """Return torch's threads for one process of a run, as a context manager."""
-    share = 0 if config.learners == 1 else config.threads_each(config.learners)
-    return TorchThreads(config.torch_threads or share, adaptive=config.torch_threads == 0, announce=announce)
+    share = 0 if config.compute.learners == 1 else config.threads_each(config.compute.learners)
+    return TorchThreads(
+        config.compute.torch_threads or share, adaptive=config.compute.torch_threads == 0, announce=announce
+    )
 
 
 def member_state(callbacks: Callbacks, collection: Mapping[str, Any] = MappingProxyType({})) -> dict[str, Any]:

@@ -10,8 +10,7 @@ import torch
 from torchrl.envs import EnvBase
 
 from torchrl_atr.envs.models.identity import Description, describe
-from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.config_checks import ConfigError
+from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.env_access import attribute
 from torchrl_atr.training.parts import FACTORIES, Parts
 from torchrl_atr.training.restoring import check_model, deployed_weights, load_networks, other_parts, read_other
@@ -48,10 +47,10 @@ def check_given(
     if state is not None:
         parts.check_complete(state, run, FACTORIES)
         learners = 1 + len(state.get("members", []))
-        if learners != config.learners:
+        if learners != config.compute.learners:
             raise ConfigError(
-                f"learners={config.learners}: the checkpoint is of {learners}; go on with as many, or begin a new run "
-                "with --from"
+                f"learners={config.compute.learners}: the checkpoint is of {learners}; go on with as many, or begin a "
+                "new run with --from"
             )
     if start is None:
         return None
@@ -95,7 +94,7 @@ def trained_networks(
         load_networks(networks, state["learner"]["networks"], run)
     elif other is not None:
         load_networks(networks, deployed_weights(other["learner"]), Path(other["run"]))
-    return networks.to(config.device)
+    return networks.to(config.compute.device)
 
 
 def model_of(env: EnvBase) -> Description | None:

@@ -13,8 +13,8 @@ from typing import Any
 import torch
 
 from torchrl_atr._cpus import available_cpus
-from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.config_io import make_config
+from torchrl_atr._settings import flat, to_text
+from torchrl_atr.training.config import TrainConfig, make_config
 from torchrl_atr.training.run_files import stored_settings
 
 _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
@@ -48,7 +48,7 @@ def provenance(
         "model": model,
         "frames": frames,
         "minutes": round(seconds / 60, 2),
-        **machine(config.device),
+        **machine(config.compute.device),
         **origin,
         **({"parts": dict(parts)} if parts else {}),
     }
@@ -91,23 +91,26 @@ def command_line(settings: Mapping[str, Any], start: Mapping[str, Any] | None = 
         start: ``run`` and ``config`` of the run that it began from.
 
     Example:
-        >>> command_line(TrainConfig(gamma=0.9).to_dict())
-        'torchrl-atr train --robot a1 --transporter single_board --seed 0 --set gamma=0.9'
-        >>> command_line(TrainConfig(gamma=0.9, seed=1).to_dict(), {"run": "runs/ride", "config": {"gamma": 0.8}})
-        'torchrl-atr train --from runs/ride --seed 1 --set gamma=0.9'
+        >>> command_line(make_config({"ppo.gamma": 0.9}).to_dict())
+        'torchrl-atr train --robot a1 --transporter single_board --seed 0 --ppo.gamma 0.9'
+        >>> start = {"run": "runs/ride", "config": make_config({"ppo.gamma": 0.8}).to_dict()}
+        >>> command_line(make_config({"ppo.gamma": 0.9, "seed": 1}).to_dict(), start)
+        'torchrl-atr train --from runs/ride --seed 1 --ppo.gamma 0.9'
     """
-    defaults = make_config({"task": settings.get("task", "riding")}).to_dict()
+    given = flat(settings)
     if start is None:
-        task = ("task",) if defaults["task"] != "riding" else ()
-        named = {name: settings[name] for name in (*task, "robot", "transporter", "seed")}
+        defaults = flat(make_config({"task.name": given["task.name"], "preset": given["preset"]}).to_dict())
+        short = {path: path.rpartition(".")[2] for path in ("task.robot", "task.transporter", "seed")}
+        short |= {"task.name": "task"} if given["task.name"] != "riding" else {}
+        short |= {"preset": "preset"} if given["preset"] != "default" else {}
+        named = {short[path]: given[path] for path in sorted(short, key=list(given).index)}
     else:
-        named = {"from": start["run"], "seed": settings["seed"]}
-        defaults |= start["config"]
+        defaults, short = flat(start["config"]), {"seed": "seed"}
+        named = {"from": start["run"], "seed": given["seed"]}
     parts = [f"--{name} {shlex.quote(str(value))}" for name, value in named.items()]
-    for name, value in settings.items():
-        if name not in named and value != defaults[name]:
-            text = ",".join(map(str, value)) if isinstance(value, list) else value
-            parts.append(f"--set {shlex.quote(f'{name}={text}')}")
+    for path, value in given.items():
+        if path not in short and value != defaults.get(path):
+            parts.append(f"--{path.replace('_', '-')} {shlex.quote(to_text(value))}")
     return " ".join(["torchrl-atr train", *parts])
 
 

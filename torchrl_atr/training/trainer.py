@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torchrl.envs import EnvBase
 
-from torchrl_atr._files import say, sweep, write_json
+from torchrl_atr._config_files import to_toml
+from torchrl_atr._files import atomic, say, sweep, write_json
 from torchrl_atr._interrupt import Interrupt
 from torchrl_atr.envs.models.identity import digest
 from torchrl_atr.training import env_access
@@ -27,7 +28,7 @@ from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import check_model
 from torchrl_atr.training.reward_schedule import check_reward_terms
-from torchrl_atr.training.run_files import clear, keep_files, stored_settings
+from torchrl_atr.training.run_files import CONFIG, clear, keep_files, stored_settings
 from torchrl_atr.training.team import Team
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class Trainer:
         >>> from functools import partial
         >>> from tempfile import TemporaryDirectory
         >>> from torchrl_atr.envs import make_riding_env
-        >>> config = TrainConfig(num_envs=4, rollout_steps=4, total_frames=16, minibatches=1, num_threads=1)
+        >>> config = make_config({"env.num_envs": 4, "ppo.rollout_steps": 4, "ppo.minibatches": 1, "total_frames": 16})
         >>> with TemporaryDirectory() as run:
         ...     trainer = Trainer(config, run, make_env=partial(make_riding_env, "go1", "two_board"))
         ...     # trainer.train()
@@ -117,7 +118,7 @@ class Trainer:
         self.curriculum = env_access.curriculum_of(self.env)
         if state is None and other is None:
             with self.threads:  # compiled steps are for that many
-                init_normalizers(networks, self.env, self.config.rollout_steps, config.device)
+                init_normalizers(networks, self.env, self.config.ppo.rollout_steps, config.compute.device)
         self.learner = make_learner(networks, self.config.share(0), self.env, self.parts, loss)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
         self.reward, self.best_reward = 0.0, float("-inf")  # of episodes: running mean, and the best at a checkpoint
@@ -159,7 +160,8 @@ class Trainer:
         Returns:
             The signal that ended it early, or None.
         """
-        write_json(self.run / "config.json", stored_settings(self.config, self.run))
+        with atomic(self.run / CONFIG) as file:
+            file.write_text(to_toml(TrainConfig, stored_settings(self.config, self.run)), encoding="utf-8")
         with Interrupt(partial(say, _STOPPING)) as interrupt, self.threads:
             try:
                 _ = self.member  # other processes take a while: not part of the first iteration's time
@@ -181,7 +183,7 @@ class Trainer:
     @cached_property
     def member(self) -> Member:
         """This process's part; other processes start when it is first asked for, and end with :meth:`train`."""
-        team = Team.form(self.config.learners, assist, self.config, self.run, self.parts.of_learners)
+        team = Team.form(self.config.compute.learners, assist, self.config, self.run, self.parts.of_learners)
         start = {"learner": self.learner.state_dict(), "curriculum": env_access.curriculum_state(self.curriculum)}
         try:
             team.share({**start, "iteration": self.iteration, "members": self._carried})
@@ -211,7 +213,7 @@ class Trainer:
                 return
             if on_iteration is not None or self.parts.callbacks.calling("on_iteration"):
                 self._mark = time.monotonic()
-            if time.monotonic() - saved > self.config.checkpoint_seconds:
+            if time.monotonic() - saved > self.config.logging.checkpoint_seconds:
                 self.save()
                 saved = time.monotonic()
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from torch import Tensor
 
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
-from torchrl_atr.envs.profiles import Readings
 
 
 @dataclass
@@ -36,7 +36,7 @@ class StepContext:
     previous_action: Tensor
     terminated: Tensor
     scene: Scene
-    readings: Readings = field(default_factory=Readings)
+    readings: Interpretation = field(default_factory=Interpretation)
     memory: Mapping[str, Tensor] = field(default_factory=dict)
 
     @property

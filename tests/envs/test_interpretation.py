@@ -1,4 +1,4 @@
-"""Readings and profiles: names, overrides, ranges."""
+"""Interpretations and profiles: names, overrides, ranges."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ import pytest
 import torch
 
 from torchrl_atr.envs.factory import make_riding_env
-from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings, points
+from torchrl_atr.envs.interpretation import PROFILES, Interpretation, get_interpretation, points
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.training import RECIPE_POINTS
 
 
 def test_profiles_are_default_literal_and_ancestor():
     assert PROFILES.names()[:3] == ("default", "literal", "ancestor")
-    assert get_readings() == Readings() == PROFILES.get("default")
+    assert get_interpretation() == Interpretation() == PROFILES.get("default")
 
 
 def test_literal_takes_the_paper_at_its_word():
-    literal = get_readings("literal")
+    literal = get_interpretation("literal")
     assert not literal.relative_mass
     assert not literal.odd_resistance
     assert literal.sb_unit == 1.0
     assert not literal.rewards_times_dt
-    assert get_readings().sb_unit == pytest.approx(57.29578)
+    assert get_interpretation().sb_unit == pytest.approx(57.29578)
 
 
 def test_ancestor_clips_rewards_and_reports_an_imu():
-    ancestor = get_readings("ancestor")
+    ancestor = get_interpretation("ancestor")
     assert ancestor.positive_rewards
     assert ancestor.gravity_in_acceleration
     assert ancestor.tilt_limit == 0.78
 
 
 def test_overrides_replace_fields_of_a_profile_or_of_own_readings():
-    literal = get_readings("literal")
-    assert get_readings("literal", coulomb_smoothing=0.5) == dataclasses.replace(literal, coulomb_smoothing=0.5)
-    assert get_readings(Readings(tilt_limit=0.5), positive_rewards=True).tilt_limit == 0.5
+    literal = get_interpretation("literal")
+    assert get_interpretation("literal", coulomb_smoothing=0.5) == dataclasses.replace(literal, coulomb_smoothing=0.5)
+    assert get_interpretation(Interpretation(tilt_limit=0.5), positive_rewards=True).tilt_limit == 0.5
 
 
 def test_every_reading_gives_its_reason_in_two_lines_and_every_profile_follows_from_it():
@@ -48,8 +48,8 @@ def test_every_reading_gives_its_reason_in_two_lines_and_every_profile_follows_f
     for name, point in points().items():
         for profile in ("literal", "ancestor"):
             chosen = getattr(point, profile)
-            expected = getattr(Readings(), name) if chosen is None else chosen
-            assert getattr(get_readings(profile), name) == expected
+            expected = getattr(Interpretation(), name) if chosen is None else chosen
+            assert getattr(get_interpretation(profile), name) == expected
 
 
 def test_table_i_taken_literally_gives_thirteen_extrinsic_states():
@@ -67,7 +67,7 @@ def test_pd_gains_taken_literally_are_table_iis_for_every_robot():
 
 def test_the_history_may_end_with_the_current_observation():
     for included in (False, True):
-        readings = Readings(current_in_history=included)
+        readings = Interpretation(current_in_history=included)
         ride = make_riding_env(num_envs=2, profile=readings, seed=0, num_threads=1).rollout(3)
         newest = ride["history"][..., -1, :]
         assert torch.equal(newest, ride["observation"]) is included
@@ -76,9 +76,9 @@ def test_the_history_may_end_with_the_current_observation():
 
 def test_unknown_profile_and_reading_list_the_known_ones():
     with pytest.raises(ValueError, match="unknown profile 'paper'; known: default, literal, ancestor"):
-        get_readings("paper")
+        get_interpretation("paper")
     with pytest.raises(ValueError, match="unknown reading 'gravity'; known: relative_mass"):
-        get_readings("default", gravity=True)
+        get_interpretation("default", gravity=True)
 
 
 @pytest.mark.parametrize(
@@ -87,4 +87,4 @@ def test_unknown_profile_and_reading_list_the_known_ones():
 )
 def test_values_out_of_range_are_refused(name, value):
     with pytest.raises(ValueError, match=f"reading {name}=.* choose a value in"):
-        Readings(**{name: value})
+        Interpretation(**{name: value})
