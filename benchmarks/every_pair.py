@@ -216,7 +216,7 @@ def _compare_all(arguments: argparse.Namespace) -> None:
     configs = {}
     for pair in arguments.pairs:
         robot, transporter = pair.split(":")
-        values = {"robot": robot, "transporter": transporter, "seed": arguments.seed}
+        values = {"task.robot": robot, "task.transporter": transporter, "seed": arguments.seed}
         configs[arguments.output / f"{robot}-{transporter}"] = make_config({**values, "max_minutes": arguments.minutes})
     for folder, config in configs.items():
         refuse_other_settings(config, folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +56,7 @@ def flops_per_frame(config: TrainConfig, folder: Path) -> float:
         config: of the run; torch counts what is not compiled.
         folder: that a trainer may write to.
     """
-    loop = TrainingLoop(dataclasses.replace(config, compiled=False), folder)
+    loop = TrainingLoop(config.replace(compute__compiled=False), folder)
     batch = loop.collection.collect()
     with torch.no_grad(), FlopCounterMode(display=False) as acting:
         loop.collection.policy(batch[:, 0].clone())

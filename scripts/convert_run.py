@@ -129,6 +129,8 @@ NESTED: dict[str, str] = {
     "command_seconds": "curriculum.command_seconds",
     "steering_weight_peak": "task.steering_weight_peak",
     "steering_weight_end": "task.steering_weight_end",
+    "steering_emphasis": "task.steering_weight_peak",  # of version 2, in the settings that a run began from
+    "final_emphasis": "task.steering_weight_end",
     "tracking_threshold": "curriculum.tracking_threshold",
     "score_from_seconds": "curriculum.score_from_seconds",
     "count_own_twice": "curriculum.count_own_twice",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import textwrap
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -51,16 +52,22 @@ def to_toml(kind: type[Settings], values: Mapping[str, Any], prefix: str = "") -
 
 
 def _lines(kind: type[Settings], values: Mapping[str, Any], prefix: str) -> Iterator[str]:
-    known = settings(kind)
     for name, value in values.items():
         if not isinstance(value, Mapping):
-            if declared := known.get(prefix + name):
-                yield f"# {declared.text}" + (f" [{declared.range}]" if declared.range else "")
+            yield from _comment(kind, prefix + name)
             yield f"{_key(name)} = {json.dumps(value, ensure_ascii=False)}"
     for name, value in values.items():
         if isinstance(value, Mapping):
             path = ".".join(map(_key, (prefix + name).split(".")))
-            yield from ("", f"[{path}]", *_lines(kind, value, f"{prefix}{name}."))
+            yield from ("", *_comment(kind, prefix + name), f"[{path}]", *_lines(kind, value, f"{prefix}{name}."))
+
+
+def _comment(kind: type[Settings], path: str) -> list[str]:
+    declared = settings(kind).get(path)
+    if declared is None:
+        return []
+    text = declared.text + (f" [{declared.range}]" if declared.range else "")
+    return textwrap.wrap(text, 120, initial_indent="# ", subsequent_indent="# ")
 
 
 def _key(name: str) -> str:

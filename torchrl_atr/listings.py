@@ -157,9 +157,10 @@ def settings_page() -> Iterator[str]:
     from torchrl_atr.training import additions as known
 
     yield from _PAGE.splitlines()
-    yield from ("", "| addition | setting | off (`paper`) | default |", "| --- | --- | --- | --- |")
+    yield from ("", "| addition | setting | off (`paper`) | default | what it is, and why |")
+    yield "| --- | --- | --- | --- | --- |"
     for each in known():
-        yield f"| {each.what} | `{each.switch}` | {_value(each.off)} | {_value(each.on)} |"
+        yield f"| {each.what} | `{each.switch}` | {_value(each.off)} | {_value(each.on)} | {_cell(each.why)} |"
     group = ""
     for path, each in _settings().items():
         own = path.rpartition(".")[0] or "run"
@@ -169,8 +170,12 @@ def settings_page() -> Iterator[str]:
             group = own
         paper = _value(each.value_in("paper"))
         paper = paper if paper == _value(each.default) else f"**{paper}**"
-        text = each.text.replace("|", "\\|")
+        text = _cell(each.text)
         yield f"| `{path.rpartition('.')[2]}` | {_value(each.default)} | {paper} | {each.range} | {text} |"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
 
 
 _PAGE = """# Settings
@@ -182,8 +187,8 @@ the command line (`--ppo.gamma 0.99`; `torchrl-atr train --help` shows the short
 the later of these wins:
 
 1. the default,
-2. what the task says (`TASK_SETTINGS`: walking has its own),
-3. the preset (`--preset paper`, or `preset = "paper"` in a file),
+2. the preset (`--preset paper`, or `preset = "paper"` in a file),
+3. what the task says (`TASK_SETTINGS`; riding says nothing, walking has its own),
 4. the run that a new one begins from (`--from`), and then the file (`--config`),
 5. the command line.
 
@@ -199,8 +204,7 @@ legged_gym), critic and estimators have optimisers of their own, and steps that 
 
 ## What is added to the paper's method
 
-Each addition is one setting. All are off in `paper`, `literal` and `legged_gym`; the tables below say why one is on by
-default."""
+Each addition is one setting. All are off in `paper`, `literal` and `legged_gym`."""
 
 
 def _settings() -> dict[str, Setting]:

@@ -9,14 +9,17 @@ import pytest
 import torch
 
 from torchrl_atr.envs.factory import make_riding_env
-from torchrl_atr.envs.interpretation import PROFILES, Interpretation, get_interpretation, points
+from torchrl_atr.envs.interpretation import PROFILES, Interpretation, get_interpretation, open_questions
 from torchrl_atr.envs.riding import RidingEnv
-from torchrl_atr.training import RECIPE_POINTS
 
 
-def test_profiles_are_default_literal_and_ancestor():
-    assert PROFILES.names()[:3] == ("default", "literal", "ancestor")
+def test_profiles_are_those_of_the_presets():
+    assert PROFILES.names()[:4] == ("default", "paper", "literal", "legged_gym")
     assert get_interpretation() == Interpretation() == PROFILES.get("default")
+
+
+def test_paper_keeps_what_makes_its_text_true_and_drops_what_is_added():
+    assert get_interpretation("paper") == Interpretation(coulomb_smoothing=0.0, driven_smoothness=False)
 
 
 def test_literal_takes_the_paper_at_its_word():
@@ -28,28 +31,23 @@ def test_literal_takes_the_paper_at_its_word():
     assert get_interpretation().sb_unit == pytest.approx(57.29578)
 
 
-def test_ancestor_clips_rewards_and_reports_an_imu():
-    ancestor = get_interpretation("ancestor")
-    assert ancestor.positive_rewards
-    assert ancestor.gravity_in_acceleration
-    assert ancestor.tilt_limit == 0.78
+def test_legged_gym_clips_rewards_and_reports_an_imu():
+    theirs = get_interpretation("legged_gym")
+    assert theirs.positive_rewards
+    assert theirs.gravity_in_acceleration
+    assert theirs.tilt_limit == 0.78
 
 
-def test_overrides_replace_fields_of_a_profile_or_of_own_readings():
+def test_overrides_replace_fields_of_a_profile_or_of_ones_own():
     literal = get_interpretation("literal")
     assert get_interpretation("literal", coulomb_smoothing=0.5) == dataclasses.replace(literal, coulomb_smoothing=0.5)
     assert get_interpretation(Interpretation(tilt_limit=0.5), positive_rewards=True).tilt_limit == 0.5
 
 
-def test_every_reading_gives_its_reason_in_two_lines_and_every_profile_follows_from_it():
-    for name, point in {**points(), **RECIPE_POINTS}.items():
-        assert len(point.why.splitlines()) == 2, name
-        assert point.number
-    for name, point in points().items():
-        for profile in ("literal", "ancestor"):
-            chosen = getattr(point, profile)
-            expected = getattr(Interpretation(), name) if chosen is None else chosen
-            assert getattr(get_interpretation(profile), name) == expected
+def test_every_question_gives_its_reason():
+    for name, question in open_questions().items():
+        assert question.question, name
+        assert question.text.count(". "), name  # what it is, and why
 
 
 def test_table_i_taken_literally_gives_thirteen_extrinsic_states():
@@ -67,17 +65,17 @@ def test_pd_gains_taken_literally_are_table_iis_for_every_robot():
 
 def test_the_history_may_end_with_the_current_observation():
     for included in (False, True):
-        readings = Interpretation(current_in_history=included)
-        ride = make_riding_env(num_envs=2, profile=readings, seed=0, num_threads=1).rollout(3)
+        interpretation = Interpretation(current_in_history=included)
+        ride = make_riding_env(num_envs=2, profile=interpretation, seed=0, num_threads=1).rollout(3)
         newest = ride["history"][..., -1, :]
         assert torch.equal(newest, ride["observation"]) is included
         assert included or torch.equal(newest[:, 1:], ride["observation"][:, :-1])
 
 
-def test_unknown_profile_and_reading_list_the_known_ones():
-    with pytest.raises(ValueError, match="unknown profile 'paper'; known: default, literal, ancestor"):
-        get_interpretation("paper")
-    with pytest.raises(ValueError, match="unknown reading 'gravity'; known: relative_mass"):
+def test_unknown_profile_and_question_list_the_known_ones():
+    with pytest.raises(ValueError, match="unknown profile 'printed'; known: default, paper, literal"):
+        get_interpretation("printed")
+    with pytest.raises(ValueError, match="unknown open question 'gravity'; known: relative_mass"):
         get_interpretation("default", gravity=True)
 
 
@@ -86,5 +84,5 @@ def test_unknown_profile_and_reading_list_the_known_ones():
     [("coulomb_smoothing", -0.1), ("steering_smoothing", 2.0), ("tilt_limit", 0.0), ("tilt_limit", math.nan)],
 )
 def test_values_out_of_range_are_refused(name, value):
-    with pytest.raises(ValueError, match=f"reading {name}=.* choose a value in"):
+    with pytest.raises(ValueError, match=f"task.interpretation.{name}=.* choose a number in"):
         Interpretation(**{name: value})

@@ -16,7 +16,13 @@ from tests.training.states import FRAMES, SMALL, differing
 from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, make_config
 from torchrl_atr.training.team import Team, TeamError
 
-SETTINGS = {**SMALL, "num_threads": 2, "learners": 2, "moving_start": 0.0, "tracking_threshold": 0.01}
+SETTINGS = {
+    **SMALL,
+    "compute.num_threads": 2,
+    "compute.learners": 2,
+    "task.moving_start": 0.0,
+    "curriculum.tracking_threshold": 0.01,
+}
 
 
 def meet(team, path):
@@ -117,7 +123,7 @@ def test_a_killed_learner_is_a_named_error_and_the_last_checkpoint_stands(tmp_pa
 
 
 def test_a_checkpoint_of_one_learner_is_not_gone_on_with_by_two(tmp_path):
-    config = make_config({**SETTINGS, "learners": 1, "total_frames": 64})
+    config = make_config({**SETTINGS, "compute.learners": 1, "total_frames": 64})
     Trainer(config, tmp_path).train()
     with pytest.raises(ConfigError, match="learners=2: the checkpoint is of 1; go on with as many"):
         Trainer(make_config(SETTINGS), tmp_path, load_checkpoint(tmp_path))
@@ -150,16 +156,16 @@ def test_a_leader_that_ends_without_a_word_leaves_no_helpers(tmp_path):
 
 def test_what_cannot_be_shared_is_refused():
     with pytest.raises(ConfigError, match="num_envs=7 cannot be shared evenly by learners=2"):
-        make_config({"num_envs": 7, "learners": 2})
+        make_config({"env.num_envs": 7, "compute.learners": 2})
     with pytest.raises(ConfigError, match="learners=2 are for collector='direct' and device='cpu'"):
-        make_config({"collector": "process", "learners": 2})
+        make_config({"compute.collector": "process", "compute.learners": 2})
 
 
 def test_shares_are_of_robots_cpus_and_seeds():
-    config = make_config({"num_envs": 12, "num_threads": 7, "seed": 3, "learners": 3})
+    config = make_config({"env.num_envs": 12, "compute.num_threads": 7, "seed": 3, "compute.learners": 3})
     shares = [config.share(rank) for rank in range(3)]
-    assert {(share.num_envs, share.num_threads, share.learners) for share in shares} == {(4, 2, 1)}
+    assert {(share.env.num_envs, share.compute.num_threads, share.compute.learners) for share in shares} == {(4, 2, 1)}
     assert len({share.seed for share in shares}) == 3
     assert shares[0].seed == 3
-    alone = make_config({"learners": 1})
+    alone = make_config({"compute.learners": 1})
     assert alone.share(0) is alone

@@ -26,7 +26,7 @@ _PATHS = {
     "resume": "Go on with this run as if it had not stopped.",
     "start": "Begin a new run with this one's networks, optimisers, command grid and settings, but for those given.",
 }
-_DESCRIPTION = """Train a policy. Of a setting's sources the later wins: its default, the task's, the preset's, the
+_DESCRIPTION = """Train a policy. Of a setting's sources the later wins: its default, the preset's, the task's, the
 file's (--config) or the other run's (--from, then --config), the command line's. A reward weight is
 --task.rewards.TERM WEIGHT, a range --task.randomization.PARAMETER.train LOW,HIGH (or .test), an estimator's argument
 --estimator.arguments.NAME VALUE. `torchrl-atr list settings` says what each setting is for."""

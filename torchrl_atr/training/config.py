@@ -162,7 +162,7 @@ class TrainConfig(Settings):
 
 
 def make_config(*sources: Mapping[str, Any]) -> TrainConfig:
-    """Make a configuration of several sources, the later winning: defaults, the task's, the preset's, then these.
+    """Make a configuration of several sources, the later winning: defaults, the preset's, the task's, then these.
 
     Args:
         *sources: nested mappings, as files hold them, or dotted names; such as a file's and the command line's.
@@ -185,7 +185,7 @@ def make_config(*sources: Mapping[str, Any]) -> TrainConfig:
     task = values.get("task", {})
     name = task.get("name", "riding") if isinstance(task, Mapping) else "riding"
     own = TASK_SETTINGS.get(name, {}) if isinstance(name, str) else {}
-    return build(TrainConfig, merged(own, PRESETS.get(values.get("preset", "default")), values))
+    return build(TrainConfig, merged(PRESETS.get(values.get("preset", "default")), own, values))
 
 
 def parse_settings(texts: Mapping[str, str]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from torchrl_atr._cpus import available_cpus
-from torchrl_atr._settings import flat, to_text
+from torchrl_atr._settings import flat, settings, to_text
 from torchrl_atr.training.config import TrainConfig, make_config
 from torchrl_atr.training.run_files import stored_settings
 
@@ -83,11 +83,11 @@ def cores(hardware: dict[str, Any]) -> str:
     return f"{where}, {hardware['accelerator']}" if "accelerator" in hardware else where
 
 
-def command_line(settings: Mapping[str, Any], start: Mapping[str, Any] | None = None) -> str:
+def command_line(config: Mapping[str, Any], start: Mapping[str, Any] | None = None) -> str:
     """The command that starts such a run: what differs from the defaults, or from the run that it began from.
 
     Args:
-        settings: of the run, all of them, as plain JSON values.
+        config: settings of the run, all of them, as plain JSON values.
         start: ``run`` and ``config`` of the run that it began from.
 
     Example:
@@ -97,20 +97,17 @@ def command_line(settings: Mapping[str, Any], start: Mapping[str, Any] | None = 
         >>> command_line(make_config({"ppo.gamma": 0.9, "seed": 1}).to_dict(), start)
         'torchrl-atr train --from runs/ride --seed 1 --ppo.gamma 0.9'
     """
-    given = flat(settings)
+    given, known = flat(config), settings(TrainConfig)
     if start is None:
         defaults = flat(make_config({"task.name": given["task.name"], "preset": given["preset"]}).to_dict())
-        short = {path: path.rpartition(".")[2] for path in ("task.robot", "task.transporter", "seed")}
-        short |= {"task.name": "task"} if given["task.name"] != "riding" else {}
-        short |= {"preset": "preset"} if given["preset"] != "default" else {}
-        named = {short[path]: given[path] for path in sorted(short, key=list(given).index)}
+        named = ["task.robot", "task.transporter", "seed"]
+        named += [path for path in ("task.name", "preset") if given[path] != known[path].default]
     else:
-        defaults, short = flat(start["config"]), {"seed": "seed"}
-        named = {"from": start["run"], "seed": given["seed"]}
-    parts = [f"--{name} {shlex.quote(str(value))}" for name, value in named.items()]
-    for path, value in given.items():
-        if path not in short and value != defaults.get(path):
-            parts.append(f"--{path.replace('_', '-')} {shlex.quote(to_text(value))}")
+        defaults, named = flat(start["config"]), ["seed"]
+    parts = [] if start is None else [f"--from {shlex.quote(start['run'])}"]
+    for path in [*named, *(path for path in given if path not in named and given[path] != defaults.get(path))]:
+        name = (path in known and known[path].alias) or path.replace("_", "-")
+        parts.append(f"--{name} {shlex.quote(to_text(given[path]))}")
     return " ".join(["torchrl-atr train", *parts])
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import (
     LEGS,
     ROBOTS,
@@ -19,7 +20,6 @@ from torchrl_atr.envs.models import (
     get_transporter,
     scene_spec,
 )
-from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.riding import RidingEnv
 
 A1, BOARD, A1_BOARDS = ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"), TRANSPORTERS.get("two_board_g1")

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, Scene, Transporter, build_scene
 from torchrl_atr.envs.interpretation import Interpretation
+from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, Scene, Transporter, build_scene
 from torchrl_atr.envs.tasks import StepContext
 from torchrl_atr.envs.tasks.riding.state import RidingState
 from torchrl_atr.envs.tasks.rotations import matrix_from_euler

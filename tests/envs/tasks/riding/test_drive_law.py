@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import TRANSPORTERS
 from torchrl_atr.envs.models.drives import tilt_drive
-from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.tasks.riding.drive_law import DriveLaw, resistance
 
 DECK = TRANSPORTERS.get("single_board_g1")

@@ -8,10 +8,10 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, Scene
 from torchrl_atr.envs.models.scene import TIMESTEP
 from torchrl_atr.envs.physics import ModelFields
-from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks.intrinsic_parameters import Intrinsics
 from torchrl_atr.envs.tasks.riding.intrinsics import riding_intrinsics

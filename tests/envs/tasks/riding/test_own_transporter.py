@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from torchrl_atr.envs import RidingEnv
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import (
     Board,
     Design,
@@ -16,7 +17,6 @@ from torchrl_atr.envs.models import (
     TransporterSpec,
     read_transporter,
 )
-from torchrl_atr.envs.interpretation import Interpretation
 
 
 def test_it_turns_by_roll_and_speed_as_its_trucks_do(skateboard):

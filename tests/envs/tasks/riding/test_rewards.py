@@ -8,8 +8,8 @@ import math
 import pytest
 import torch
 
-from torchrl_atr.envs.models import ROBOTS
 from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
+from torchrl_atr.envs.models import ROBOTS
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS, outside_polygon
 
@@ -142,14 +142,14 @@ def test_penalties_are_never_positive(make_context):
             assert (value >= 0).all() if name in TRACKING else (value <= 0).all(), name
 
 
-@pytest.mark.parametrize("profile", ["default", "ancestor"])
+@pytest.mark.parametrize("profile", ["default", "legged_gym"])
 def test_the_env_emits_terms_that_make_up_its_reward(profile):
     env = RidingEnv(num_envs=3, seed=0, profile=profile, num_threads=1)
     steps = env.rollout(8, break_when_any_done=False)["next"]
     terms = steps["reward_terms"]
     assert list(terms.keys()) == list(RIDING_REWARDS)
     total = torch.stack(list(terms.values())).sum(0)
-    if profile == "ancestor":
+    if profile == "legged_gym":
         total = (total - terms["termination"]).clamp_min(0.0) + terms["termination"]
     torch.testing.assert_close(steps["reward"], total)
 
