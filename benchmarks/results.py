@@ -11,7 +11,7 @@ from typing import Any
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, prepare_output, write_json
 from torchrl_atr._interrupt import Interrupt
-from torchrl_atr._settings import flat
+from torchrl_atr._nested import flat
 from torchrl_atr.training import ConfigError, TrainConfig, make_config, parse_settings, read_config
 from torchrl_atr.training.provenance import cores
 from torchrl_atr.training.run_files import CONFIG

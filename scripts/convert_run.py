@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # the version that this clon
 from torchrl_atr._config_files import to_toml
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
-from torchrl_atr._settings import merged
+from torchrl_atr._nested import merged
 from torchrl_atr.training.checkpoint import (
     BEST,
     NAME,

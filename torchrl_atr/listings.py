@@ -162,16 +162,16 @@ def settings_page() -> Iterator[str]:
     for each in known():
         yield f"| {each.what} | `{each.switch}` | {_value(each.off)} | {_value(each.on)} | {_cell(each.why)} |"
     group = ""
-    for path, each in _settings().items():
+    for path, declaration in _settings().items():
         own = path.rpartition(".")[0] or "run"
         if own != group:
             yield from ("", f"## {own}", "", "| setting | `default` | `paper` | range | what it is, and why |")
             yield "| --- | --- | --- | --- | --- |"
             group = own
-        paper = _value(each.value_in("paper"))
-        paper = paper if paper == _value(each.default) else f"**{paper}**"
-        text = _cell(each.text)
-        yield f"| `{path.rpartition('.')[2]}` | {_value(each.default)} | {paper} | {each.range} | {text} |"
+        default, paper = _value(declaration.default), _value(declaration.value_in("paper"))
+        paper = paper if paper == default else f"**{paper}**"
+        text = _cell(declaration.text)
+        yield f"| `{path.rpartition('.')[2]}` | {default} | {paper} | {declaration.range} | {text} |"
 
 
 def _cell(text: str) -> str:

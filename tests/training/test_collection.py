@@ -26,9 +26,7 @@ def start(collector):
     env = make_env(config)
     networks = make_run_networks(config, env)
     learner = Learner(networks, config)
-    policy = correlate(
-        networks.rollout_policy(config.roa.act_source), config.exploration.noise_correlation
-    )
+    policy = correlate(networks.rollout_policy(config.roa.act_source), config.exploration.noise_correlation)
     return config, learner, Collection(config, env, partial(make_env, config), policy)
 
 

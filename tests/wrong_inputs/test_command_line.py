@@ -35,7 +35,11 @@ import pytest
         ("train --task.rewards.termination", "--task.rewards.termination", "needs a value"),
         ("train --task.rewards -1", "'--task.rewards'", "write --task.rewards.NAME VALUE"),
         ("train --task.rewards.terminaton -1", "task.rewards.terminaton=-1", "did you mean 'termination'?"),
-        ("train --ppo.learning-rat 1e-3", "'--ppo.learning-rat'", "did you mean '--ppo.learning-rate', of the group ppo?"),
+        (
+            "train --ppo.learning-rat 1e-3",
+            "'--ppo.learning-rat'",
+            "did you mean '--ppo.learning-rate', of the group ppo?",
+        ),
         ("train --velocity 3", "'--velocity'", "list settings"),
         ("train --env.episode-seconds 0", "env.episode_seconds=0.0", "choose a number in [0.1, 1000000] s"),
         ("train --ppo.gamma 1.5", "gamma=1.5", "choose a number in [0, 0.99999]"),

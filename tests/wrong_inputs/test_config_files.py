@@ -19,7 +19,12 @@ import pytest
             "line 1 column 1",
         ),  # 14 or 15: Pythons differ
         ("recipe.json", "[0.9]", "recipe.json holds a list", '{"seed": 1}'),
-        ("recipe.toml", "[ppo]\nlearnin_rate = 1e-3", "'ppo.learnin_rate'", "did you mean 'ppo.learning_rate', of the group ppo?"),
+        (
+            "recipe.toml",
+            "[ppo]\nlearnin_rate = 1e-3",
+            "'ppo.learnin_rate'",
+            "did you mean 'ppo.learning_rate', of the group ppo?",
+        ),
         ("recipe.toml", "[pppo]\ngamma = 0.9", "unknown setting 'pppo'", "list settings"),
         ("recipe.toml", "gamma = 0.9", "unknown setting 'gamma'", "did you mean 'ppo.gamma', of the group ppo?"),
         ("recipe.toml", "ppo = 3", "ppo=3", "a group of settings; write ppo.NAME, or [ppo]"),
@@ -35,7 +40,12 @@ import pytest
         ("recipe.json", '{"task": {"robot": null}}', "robot=None", "a text such as a1"),
         ("recipe.toml", 'task.robot = "mine.toml"', "no robot file mine.toml", "check its path"),
         ("recipe.toml", "curriculum.command_seconds = 9", "command_seconds=9", "must not exceed env.episode_seconds=5"),
-        ("recipe.toml", "curriculum.score_from_seconds = 4.99", "score_from_seconds=4.99", "below curriculum.command_seconds=5"),
+        (
+            "recipe.toml",
+            "curriculum.score_from_seconds = 4.99",
+            "score_from_seconds=4.99",
+            "below curriculum.command_seconds=5",
+        ),
     ],
 )
 def test_refused(refused, tmp_path, monkeypatch, name, text, culprit, remedy):

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, folder_for, say, whole
+from torchrl_atr._nested import merged
 from torchrl_atr._registry import import_modules
-from torchrl_atr._settings import merged
+from torchrl_atr.cli.grid_protocols import fill_options
 from torchrl_atr.cli.printing import StepCounter, estimator_lines, headlines, replay_head, replay_line
 from torchrl_atr.listings import LISTINGS, settings_page
 
@@ -91,6 +92,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import evaluate_tracking, figures, tracking_metrics, write_report
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
+    fill_options(arguments)
     output = _report_folder(arguments)
     other = _other_model(arguments)
     imports = arguments.imports or ()
@@ -117,6 +119,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
         metrics["evaluation"] = {
             "robot": env.base_env.scene.robot.name,
             "transporter": env.base_env.scene.support.name,
+            "protocol": arguments.protocol,
             "seed": arguments.seed,
             "randomization": arguments.randomization,
             "checkpoint": arguments.checkpoint,
@@ -159,11 +162,12 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     """Where the report goes: a run's own is of the robot and transporter that it was trained on."""
     from torchrl_atr.training import ConfigError
 
-    output = arguments.output or arguments.run
+    own = arguments.run if arguments.protocol == "tracking" else arguments.run / arguments.protocol
+    output = arguments.output or own
     for name, value in _other_model(arguments).items():
-        if output.resolve() == arguments.run.resolve():
+        if output.resolve() in (arguments.run.resolve(), own.resolve()):
             raise ConfigError(
-                f"--{name} {value}: the report in {arguments.run} is of the {name} that it was trained on; give "
+                f"--{name} {value}: the report in {output} is of the {name} that it was trained on; give "
                 "another folder with --output"
             )
     return output

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from torchrl_atr import __version__
 from torchrl_atr._registry import nearest
+from torchrl_atr.cli.grid_protocols import GRID_PROTOCOLS
 from torchrl_atr.listings import LISTINGS
 
 
@@ -85,19 +86,25 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     _add_checkpoint(parser)
     _add_import(parser)
     parser.add_argument("--seed", type=_seed, default=0)
-    parser.add_argument("--output", type=_path, help="where the report goes; default: the run folder")
+    protocol_text = "tracking: a grid of commands near rest; paper: the paper's, the test range over ±15 m/s × ±2 rad/s"
+    parser.add_argument("--protocol", choices=tuple(GRID_PROTOCOLS), default="tracking", help=protocol_text)
+    output_text = "where the report goes; default: the run folder, of another protocol than tracking RUN/PROTOCOL"
+    parser.add_argument("--output", type=_path, help=output_text)
     parser.add_argument("--robot", help="measure another one than it was trained with; needs --output")
     parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
-    parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
+    parser.add_argument("--randomization", choices=("train", "test", "off"), help="default: train; of paper: test")
     parser.add_argument(
-        "--max-speed", type=_number(float, 0, 100), help="m/s; default: 2, or the task's if that is less"
+        "--max-speed", type=_number(float, 0, 100), help="m/s; default: 2, or the task's if less; of paper: 15"
     )
-    parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), default=1.0, help="rad/s")
+    parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), help="rad/s; default: 1; of paper: 2")
     parser.add_argument(
-        "--speed-step", type=_number(float, 0.001, 100), help="m/s; divides the range; default: 1, or 0.5"
+        "--speed-step",
+        type=_number(float, 0.001, 100),
+        help="m/s; divides the range; default: 1, or 0.5; of paper: 0.1",
     )
-    parser.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), default=0.25, help="rad/s; likewise")
-    parser.add_argument("--robots-per-command", type=_number(int, 1, 100_000), default=8)
+    step_text = "rad/s; likewise; default: 0.25; of paper: 0.1"
+    parser.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), help=step_text)
+    parser.add_argument("--robots-per-command", type=_number(int, 1, 100_000), help="default: 8; of paper: 1")
 
 
 def _add_play(parser: argparse.ArgumentParser) -> None:

@@ -14,7 +14,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from torchrl_atr._settings import ConfigError, Setting, settings, suggestion
+from torchrl_atr._nested import suggestion
+from torchrl_atr._settings import ConfigError, Setting, settings
 from torchrl_atr.training import TrainConfig, parse_settings
 
 DEFAULT_RUN = Path("runs/latest")
@@ -81,8 +82,8 @@ def parse_train(words: Sequence[str]) -> TrainArguments:
         if value is not None and path != "imports":
             texts[path] = value
     given = parse_settings(texts) | ({"imports": list(parsed.imports)} if parsed.imports else {})
-    paths = {name: _path(name, getattr(parsed, name)) for name in _PATHS}
-    return TrainArguments(given, *paths.values(), overwrite=parsed.overwrite)
+    paths: dict[str, Any] = {name: _path(name, getattr(parsed, name)) for name in _PATHS}
+    return TrainArguments(given, **paths, overwrite=parsed.overwrite)
 
 
 def _path(name: str, text: str | None) -> Path | None:
@@ -118,7 +119,7 @@ def _parsed(words: list[str]) -> Any:
     errors = io.StringIO()
     try:
         with contextlib.redirect_stderr(errors):
-            parsed, unknown = tyro.cli(
+            parsed, unknown = tyro.cli(  # type: ignore[var-annotated]  # of a type made here
                 _options(), prog="torchrl-atr train", description=_DESCRIPTION, args=words, return_unknown_args=True
             )
     except SystemExit as stop:

@@ -14,8 +14,9 @@ import torch
 
 from torchrl_atr._config_files import read_values
 from torchrl_atr._cpus import available_cpus
+from torchrl_atr._nested import build, from_text, merged
 from torchrl_atr._registry import import_modules
-from torchrl_atr._settings import ConfigError, Settings, build, from_text, merged, setting
+from torchrl_atr._settings import ConfigError, Settings, setting
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
 from torchrl_atr.envs.physics import CONTROL_DT
@@ -70,7 +71,9 @@ class TrainConfig(Settings):
         self.make_task()
         for problem in _problems(self):
             raise ConfigError(problem)
-        files = {name: str(Path(value).resolve()) for name in COPIES if is_spec_file(value := getattr(self.task, name))}
+        files: dict[str, Any] = {
+            name: str(Path(value).resolve()) for name in COPIES if is_spec_file(value := getattr(self.task, name))
+        }
         if files:  # workers must find them from wherever they run
             object.__setattr__(self, "task", dataclasses.replace(self.task, **files))
 

@@ -13,7 +13,8 @@ from typing import Any
 import torch
 
 from torchrl_atr._cpus import available_cpus
-from torchrl_atr._settings import flat, settings, to_text
+from torchrl_atr._nested import flat, to_text
+from torchrl_atr._settings import settings
 from torchrl_atr.training.config import TrainConfig, make_config
 from torchrl_atr.training.run_files import stored_settings
 
