@@ -24,7 +24,7 @@ from torchrl_atr._compilation import compiler
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._files import say
 from torchrl_atr._interrupt import end_children
-from torchrl_atr.training import TrainConfig
+from torchrl_atr.training import TrainConfig, make_config
 from torchrl_atr.training.provenance import machine
 
 Maker = Callable[[], Contender]
@@ -50,8 +50,8 @@ class Plan:
     compiled: bool = True
     num_envs: int = 1024
     sizes: tuple[int, ...] = (64, 256, 512, 1024, 4096)
-    training_sizes: tuple[int, ...] = (TrainConfig.num_envs, 256, 1024)
-    steps: int = TrainConfig.rollout_steps
+    training_sizes: tuple[int, ...] = (TrainConfig().env.num_envs, 256, 1024)
+    steps: int = TrainConfig().ppo.rollout_steps
     rounds: int = 7
     seconds: float = 0.5
     profiled: int = 8
@@ -138,7 +138,7 @@ def _memory(plan: Plan) -> list[dict[str, float]]:
 
 
 def _loop(plan: Plan, size: int, scratch: Path, riding: bool) -> TrainingLoop:
-    config = TrainConfig(num_envs=size, rollout_steps=plan.steps, compiled=plan.compiled)
+    config = make_config({"env.num_envs": size, "ppo.rollout_steps": plan.steps, "compute.compiled": plan.compiled})
     return TrainingLoop(config, scratch / f"{size}-{riding}", riding)
 
 

@@ -255,10 +255,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         for transporter in DESIGNS:
             for contacts in MODELS:
                 found = creep(robot, transporter, contacts, **trial)
-                rows.append(
-                    {"robot": robot, "transporter": transporter, "contacts": describe(contacts), "mm_per_second": found}
-                )
-                say(f"{robot}, {transporter}, {_name(rows[-1]['contacts'])}: {', '.join(map(_figure, found.values()))}")
+                described = describe(contacts)
+                row = {"robot": robot, "transporter": transporter, "contacts": described, "mm_per_second": found}
+                rows.append(row)
+                say(f"{robot}, {transporter}, {_name(described)}: {', '.join(map(_figure, found.values()))}")
     cost = {name: costs(MODELS, noise, arguments.robots, arguments.rounds) for name, noise in NOISE.items()}
     report = {
         "command": "python -m benchmarks.contact_creep"

@@ -19,7 +19,7 @@ from torchrl_atr.envs import RidingEnv, get_robot, get_transporter, make_riding_
 from torchrl_atr.envs.models import Scene, Transporter, build_scene
 from torchrl_atr.envs.models.scene import STAND
 from torchrl_atr.envs.physics.engine import DECIMATION
-from torchrl_atr.training import TrainConfig, make_env, make_policy, make_run_networks
+from torchrl_atr.training import TrainConfig, make_config, make_env, make_policy, make_run_networks
 from torchrl_atr.training.collection import Collection
 
 STAND_STEPS = 100
@@ -93,7 +93,8 @@ def deployed(num_envs: int, threads: int, steps: int, compiled: bool = False) ->
 
 def training_policy(num_envs: int, threads: int, steps: int, compiled: bool = False) -> Contender:
     """The trainer's own collection: its env, its policy, untrained, with exploration."""
-    config = TrainConfig(num_envs=num_envs, rollout_steps=steps, num_threads=threads, compiled=compiled)
+    sizes = {"env.num_envs": num_envs, "ppo.rollout_steps": steps}
+    config = make_config({**sizes, "compute.num_threads": threads, "compute.compiled": compiled})
     env = make_env(config)
     torch.manual_seed(config.seed)
     policy = make_policy(config, make_run_networks(config, env))

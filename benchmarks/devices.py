@@ -48,8 +48,8 @@ def measure(loops: Sequence[TrainingLoop], rounds: int, seconds: float) -> list[
             kept += iterations if turn else []
     return [
         {
-            "num_envs": loop.config.num_envs,
-            "device": loop.config.device,
+            "num_envs": loop.config.env.num_envs,
+            "device": loop.config.compute.device,
             **{name: statistics.median(metrics[name] for metrics in kept) for name in COLUMNS},
         }
         for loop, kept in zip(loops, samples)
@@ -73,8 +73,8 @@ def table(report: dict[str, Any]) -> str:
         "",
         results.origin(report),
         "",
-        f"Training iterations of {TrainConfig.rollout_steps} control steps, A1 on the single board, medians. Physics "
-        "is on the CPU for both; collecting includes the policy, which is where the learner is.",
+        f"Training iterations of {TrainConfig().ppo.rollout_steps} control steps, A1 on the single board, medians. "
+        "Physics is on the CPU for both; collecting includes the policy, which is where the learner is.",
         "",
         f"| robots | learner | {' | '.join(COLUMNS.values())} |",
         "| --- | --- | --- | --- | --- |",
@@ -108,8 +108,12 @@ def _compare(arguments: argparse.Namespace) -> None:
             for size in arguments.num_envs:
                 for device in arguments.devices:
                     say(f"{size} robots, learner on {device}")
-                    values = {"num_envs": size, "device": device, "compiled": compiler() is not None}
-                    config = make_config(values, arguments.overrides)
+                    values = {
+                        "env.num_envs": size,
+                        "compute.device": device,
+                        "compute.compiled": compiler() is not None,
+                    }
+                    config = make_config(values, results.parse_overrides(arguments.overrides))
                     loops.append(TrainingLoop(config, Path(scratch) / f"{device}{size}"))
             rows = measure(loops, arguments.rounds, arguments.seconds)
         finally:

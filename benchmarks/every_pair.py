@@ -129,10 +129,10 @@ def compare_run(folder: Path) -> dict[str, Any]:
     config, env, networks, state = load_run(folder, num_envs=1)
     env.close()
     policy, seed = networks.deployed_policy(), config.seed + 1  # other robots than those training began with
-    box = (config.initial_speed, config.initial_yaw_rate)
+    box = (config.curriculum.initial_speed, config.curriculum.initial_yaw_rate)
     return {
         "command": f"python -m benchmarks.every_pair --minutes {config.max_minutes:g} --seed {config.seed} "
-        f"--pairs {config.robot}:{config.transporter}",
+        f"--pairs {config.task.robot}:{config.task.transporter}",
         "run": state["provenance"],
         "comparison": {"robots": ROBOTS_COMPARED, "seconds": SECONDS, "seed": seed, "command_box": box},
         "policy_reads": sorted(policy.in_keys),
@@ -216,7 +216,7 @@ def _compare_all(arguments: argparse.Namespace) -> None:
     configs = {}
     for pair in arguments.pairs:
         robot, transporter = pair.split(":")
-        values = {"robot": robot, "transporter": transporter, "seed": arguments.seed}
+        values = {"task.robot": robot, "task.transporter": transporter, "seed": arguments.seed}
         configs[arguments.output / f"{robot}-{transporter}"] = make_config({**values, "max_minutes": arguments.minutes})
     for folder, config in configs.items():
         refuse_other_settings(config, folder)

@@ -23,7 +23,10 @@ from torchrl_atr.training import CheckpointError, load_checkpoint
 from torchrl_atr.training.checkpoint import NAME
 from torchrl_atr.training.provenance import machine
 
-SETTINGS = ("num_envs=8", "rollout_steps=4", "minibatches=1", "epochs=1", "num_threads=1", "checkpoint_seconds=0")
+SETTINGS = (
+    *("--num-envs", "8", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--ppo.epochs", "1"),
+    *("--compute.num-threads", "1", "--logging.checkpoint-seconds", "0"),
+)
 _PATIENCE = 120.0
 """Seconds in which a run must have begun to save."""
 
@@ -45,7 +48,7 @@ def kill_once(run: Path, delay: float, from_start: bool = False) -> dict[str, An
     before = load_checkpoint(run / NAME)["frames"] if known else 0
     start = ["--resume", str(run)] if known else ["--output", str(run), "--overwrite", "--total-frames", "1e12"]
     if not known:
-        start += [part for setting in SETTINGS for part in ("--set", setting)]
+        start += SETTINGS
     process = subprocess.Popen(
         [sys.executable, "-m", "torchrl_atr.cli", "train", *start],
         stdout=subprocess.DEVNULL,

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from benchmarks.training import TrainingLoop
 from torchrl_atr._interrupt import signals_held
-from torchrl_atr.training import TrainConfig
+from torchrl_atr.training import make_config
 
 ROOT = Path(__file__).parents[1]
 
@@ -38,7 +38,7 @@ def _resident() -> float:
 
 def _main(num_envs: int, steps: int, scratch: Path) -> None:
     imported = _resident()
-    loop = TrainingLoop(TrainConfig(num_envs=num_envs, rollout_steps=steps), scratch)
+    loop = TrainingLoop(make_config({"env.num_envs": num_envs, "ppo.rollout_steps": steps}), scratch)
     for _ in range(2):  # the second batch is collected beside what the first left behind
         loop.iterate()
     loop.close()

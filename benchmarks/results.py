@@ -11,8 +11,10 @@ from typing import Any
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, prepare_output, write_json
 from torchrl_atr._interrupt import Interrupt
-from torchrl_atr.training import ConfigError, TrainConfig, make_config, read_config
+from torchrl_atr._nested import flat
+from torchrl_atr.training import ConfigError, TrainConfig, make_config, parse_settings, read_config
 from torchrl_atr.training.provenance import cores
+from torchrl_atr.training.run_files import CONFIG
 
 
 def write(folder: Path, name: str, report: dict[str, Any], readme: str) -> None:
@@ -35,17 +37,35 @@ def origin(report: dict[str, Any]) -> str:
     return f"`{report['command']}`: {report['wall_seconds']:.0f} s on {cores(report['hardware'])}."
 
 
+def parse_overrides(texts: list[str]) -> dict[str, Any]:
+    """Return the settings of ``--set KEY=VALUE``.
+
+    Raises:
+        ConfigError: for one without a value.
+
+    Example:
+        >>> parse_overrides(["ppo.gamma=0.9"])
+        {'ppo.gamma': 0.9}
+    """
+    for text in texts:
+        if "=" not in text:
+            raise ConfigError(f"--set {text!r}: write it as KEY=VALUE, such as --set ppo.gamma=0.99")
+    return parse_settings(dict(text.split("=", 1) for text in texts))
+
+
 def refuse_other_settings(config: TrainConfig, folder: Path) -> None:
     """Keeps runs of different settings out of one table.
 
     Raises:
         ConfigError: if ``folder`` holds a run that was trained differently.
     """
-    path = folder / "config.json"
+    path = folder / CONFIG
     if not path.is_file():
         return
-    asked, found = config.to_dict(), make_config(read_config(path)).to_dict()
-    other = ", ".join(f"{key}={found[key]} instead of {value}" for key, value in asked.items() if found[key] != value)
+    asked, found = flat(config.to_dict()), flat(make_config(read_config(path)).to_dict())
+    other = ", ".join(
+        f"{key}={found.get(key)} instead of {value}" for key, value in asked.items() if found.get(key) != value
+    )
     if other:
         raise ConfigError(f"{folder} was trained with {other}; give another folder, or remove that one")
 

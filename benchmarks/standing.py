@@ -18,7 +18,7 @@ from tensordict import TensorDict
 
 from benchmarks import results
 from torchrl_atr._files import say
-from torchrl_atr.envs import ROBOTS, RidingEnv, get_readings
+from torchrl_atr.envs import ROBOTS, RidingEnv, get_interpretation
 from torchrl_atr.envs.models import DESIGNS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.training.provenance import machine
@@ -48,7 +48,7 @@ def survival(
         seed: of intrinsics and initial states.
         num_threads: of the physics.
     """
-    readings = get_readings("default", scaled_springs=scaled_springs)
+    readings = get_interpretation("default", scaled_springs=scaled_springs)
     env = RidingEnv(robot, transporter, robots, profile=readings, pushes=False, seed=seed, num_threads=num_threads)
     if centred:
         state = env.get_state()

@@ -29,13 +29,13 @@ GRID = (2.0, 1.0, 1.0, 0.25)
 """Largest speed (m/s) and yaw rate (rad/s) of the commands, and their steps."""
 RECIPE = {
     "total_frames": 14_000_000,
-    "max_speed": 3.0,
-    "max_yaw_rate": 1.4,
-    "moving_start": 0.5,
-    "anneal_from": 0.5,
-    "anneal_until": 0.8,
-    "final_std": 0.08,
-    "steering_weight_peak": 3.0,
+    "curriculum.max_speed": 3.0,
+    "curriculum.max_yaw_rate": 1.4,
+    "task.moving_start": 0.5,
+    "exploration.anneal_from": 0.5,
+    "exploration.anneal_until": 0.8,
+    "exploration.final_std": 0.08,
+    "task.steering_weight_peak": 3.0,
 }
 """What differs from the default recipe: commands stay near what the bar is about, more robots start from rest, where
 most falls are, and steering, which is learned last, counts more until it has."""
@@ -185,7 +185,7 @@ def _train_all(arguments: argparse.Namespace) -> None:
     configs = {}
     for seed in arguments.seeds:
         values = {**RECIPE, "seed": seed, "max_minutes": arguments.minutes}
-        configs[arguments.runs / str(seed)] = make_config(values, arguments.overrides)
+        configs[arguments.runs / str(seed)] = make_config(values, results.parse_overrides(arguments.overrides))
     for folder, config in configs.items():
         results.refuse_other_settings(config, folder)
     for folder, config in configs.items():

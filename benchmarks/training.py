@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +46,7 @@ class TrainingLoop:
     def contender(self, threads: int) -> Contender:
         """For timing."""
         name = TRAINED["riding_" if self.riding else ""]
-        return Contender(Key(name, self.config.num_envs, threads), self.iterate, self.close)
+        return Contender(Key(name, self.config.env.num_envs, threads), self.iterate, self.close)
 
 
 def flops_per_frame(config: TrainConfig, folder: Path) -> float:
@@ -57,7 +56,7 @@ def flops_per_frame(config: TrainConfig, folder: Path) -> float:
         config: of the run; torch counts what is not compiled.
         folder: that a trainer may write to.
     """
-    loop = TrainingLoop(dataclasses.replace(config, compiled=False), folder)
+    loop = TrainingLoop(config.replace(compute__compiled=False), folder)
     batch = loop.collection.collect()
     with torch.no_grad(), FlopCounterMode(display=False) as acting:
         loop.collection.policy(batch[:, 0].clone())

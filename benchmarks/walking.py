@@ -178,8 +178,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _measure(arguments: argparse.Namespace) -> None:
-    settings = {"robot": arguments.robot, "seed": arguments.seed, "total_frames": arguments.frames, "max_minutes": 30.0}
-    config = make_config({"task": "walking", **settings, "compiled": True})
+    settings = {
+        "task.robot": arguments.robot,
+        "seed": arguments.seed,
+        "total_frames": arguments.frames,
+        "max_minutes": 30.0,
+    }
+    config = make_config({"task.name": "walking", **settings, "compute.compiled": True})
     results.refuse_other_settings(config, arguments.run)
     if not (arguments.run / EVALUATION).is_file():
         train(config, arguments.run)

@@ -20,8 +20,8 @@ from torchrl_atr.training import Trainer, make_config
 from torchrl_atr.training.provenance import machine
 
 KINDS: dict[str, dict[str, Any]] = {
-    "one process": {"collector": "direct"},
-    "two workers": {"collector": "process", "workers": 2},
+    "one process": {"compute.collector": "direct"},
+    "two workers": {"compute.collector": "process", "compute.workers": 2},
 }
 
 
@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     started, returns = time.monotonic(), {}
     with tempfile.TemporaryDirectory() as folder:
         for kind, settings in KINDS.items():
-            common = {"total_frames": arguments.frames, "num_envs": arguments.num_envs, **settings}
+            common = {"total_frames": arguments.frames, "env.num_envs": arguments.num_envs, **settings}
             returns[kind] = [
                 final_return({**common, "seed": seed}, Path(folder) / f"{settings['collector']}{seed}")
                 for seed in range(arguments.seeds)

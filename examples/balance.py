@@ -9,17 +9,17 @@ from functools import partial
 import mujoco
 import torch
 
+from torchrl_atr.envs.interpretation import get_interpretation
 from torchrl_atr.envs.models import Support, get_robot
 from torchrl_atr.envs.models.support import touch
 from torchrl_atr.envs.physics import SubstepHook
-from torchrl_atr.envs.profiles import get_readings
 from torchrl_atr.envs.tasks import TASKS, CommandSpace, ObservationTerm, RewardTerm, Task
 from torchrl_atr.envs.tasks.events import tilted, too_low
 from torchrl_atr.envs.tasks.parameters import robot_parameters
 from torchrl_atr.envs.tasks.proprioception import BODY, PROPRIO
 from torchrl_atr.envs.tasks.tracking import tracking_kernel
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.training.recipes import TASK_SETTINGS
+from torchrl_atr.training import TASK_SETTINGS
 
 SIDE, HEIGHT = 1.6, 0.3
 STIFFNESS, DAMPING = 4000.0, 400.0
@@ -82,7 +82,7 @@ def plate_tilt(c):
 
 def balance(robot="a1", profile="default"):
     """Return the task."""
-    walker, readings = get_robot(robot), get_readings(profile)
+    walker, readings = get_robot(robot), get_interpretation(profile)
     grid = CommandGrid((0.2, 0.1), (0.1, 0.1), (0.1, 0.1), (0.1, 0.1))
     told = {f"at_{axis}": RewardTerm(partial(near, i), 4.0) for i, axis in enumerate("xy")}
     return Task(
@@ -135,14 +135,14 @@ def fallen(c):
 
 TASKS.register("balance", balance)
 TASK_SETTINGS["balance"] = {
-    "dead_reckoning": False,
-    "tracking_forecast": False,
-    "steering_cue": False,
-    "moving_start": 0.0,
-    "initial_speed": 0.1,
-    "initial_yaw_rate": 0.1,
-    "max_speed": 0.2,
-    "max_yaw_rate": 0.1,
+    "estimator.dead_reckoning": False,
+    "ppo.tracking_forecast": False,
+    "ppo.command_interaction": False,
+    "task.moving_start": 0.0,
+    "curriculum.initial_speed": 0.1,
+    "curriculum.initial_yaw_rate": 0.1,
+    "curriculum.max_speed": 0.2,
+    "curriculum.max_yaw_rate": 0.1,
     "runaway_speed": 1.0,
     "runaway_yaw_rate": 1.0,
 }

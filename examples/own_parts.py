@@ -68,7 +68,7 @@ class ScaledRewards(Callback):
 
 def main(run: Path, iterations: int = 2, more: int = 1, num_envs: int = 8) -> Trainer:
     """Trains for some iterations, goes on for some more as another process would, and evaluates."""
-    small = {"num_envs": num_envs, "rollout_steps": 8, "minibatches": 2}
+    small = {"env.num_envs": num_envs, "ppo.rollout_steps": 8, "ppo.minibatches": 2}
     trainer = None
     for total in (iterations, iterations + more):
         trainer = Trainer(

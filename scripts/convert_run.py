@@ -19,8 +19,10 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the version that this clone reads, whatever is installed
 
+from torchrl_atr._config_files import to_toml
 from torchrl_atr._errors import UserError
-from torchrl_atr._files import atomic, write_json
+from torchrl_atr._files import atomic
+from torchrl_atr._nested import merged
 from torchrl_atr.training.checkpoint import (
     BEST,
     NAME,
@@ -29,6 +31,8 @@ from torchrl_atr.training.checkpoint import (
     CheckpointError,
     read_checkpoint,
 )
+from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.run_files import CONFIG
 
 State = dict[str, Any]
 
@@ -67,7 +71,143 @@ def describe_the_task(state: State) -> None:
         member["collection"] = {}
 
 
-CONVERSIONS: tuple[Callable[[State], None], ...] = (separate_exploration, describe_the_task)
+NESTED: dict[str, str] = {
+    "task": "task.name",
+    "robot": "task.robot",
+    "transporter": "task.transporter",
+    "estimator": "estimator.name",
+    "imports": "imports",
+    "num_envs": "env.num_envs",
+    "rollout_steps": "ppo.rollout_steps",
+    "total_frames": "total_frames",
+    "max_minutes": "max_minutes",
+    "seed": "seed",
+    "device": "compute.device",
+    "num_threads": "compute.num_threads",
+    "torch_threads": "compute.torch_threads",
+    "compiled": "compute.compiled",
+    "collector": "compute.collector",
+    "workers": "compute.workers",
+    "sensors": "task.sensors",
+    "gamma": "ppo.gamma",
+    "gae_lambda": "ppo.gae_lambda",
+    "epochs": "ppo.epochs",
+    "minibatches": "ppo.minibatches",
+    "learning_rate": "ppo.learning_rate",
+    "max_learning_rate": "ppo.max_learning_rate",
+    "target_kl": "ppo.target_kl",
+    "final_kl": "ppo.final_kl",
+    "critic_learning_rate": "ppo.critic_learning_rate",
+    "estimator_learning_rate": "estimator.learning_rate",
+    "clip_epsilon": "ppo.clip_epsilon",
+    "entropy_coeff": "ppo.entropy_coeff",
+    "max_grad_norm": "ppo.max_grad_norm",
+    "average_over": "ppo.ema_horizon",
+    "init_std": "exploration.init_std",
+    "relative_std": "exploration.relative_std",
+    "min_std": "exploration.min_std",
+    "noise_correlation": "exploration.noise_correlation",
+    "final_std": "exploration.final_std",
+    "anneal_from": "exploration.anneal_from",
+    "anneal_until": "exploration.anneal_until",
+    "smoothness_coeff": "ppo.smoothness_coeff",
+    "roa_coeff": "roa.coeff",
+    "roa_ramp": "roa.ramp",
+    "adaptation_epochs": "estimator.epochs",
+    "act_source": "roa.act_source",
+    "dead_reckoning": "estimator.dead_reckoning",
+    "steering_cue": "ppo.command_interaction",
+    "symmetric": "ppo.symmetric",
+    "normalize_targets": "estimator.normalize_targets",
+    "privileged_critic": "ppo.privileged_critic",
+    "tracking_forecast": "ppo.tracking_forecast",
+    "history_length": "env.history_length",
+    "critic_cells": "ppo.critic_cells",
+    "moving_start": "task.moving_start",
+    "displaced_start": "task.displaced_start",
+    "retry": "env.failed_episode_replay",
+    "episode_seconds": "env.episode_seconds",
+    "command_seconds": "curriculum.command_seconds",
+    "steering_weight_peak": "task.steering_weight_peak",
+    "steering_weight_end": "task.steering_weight_end",
+    "steering_emphasis": "task.steering_weight_peak",  # of version 2, in the settings that a run began from
+    "final_emphasis": "task.steering_weight_end",
+    "tracking_threshold": "curriculum.tracking_threshold",
+    "score_from_seconds": "curriculum.score_from_seconds",
+    "count_own_twice": "curriculum.count_own_twice",
+    "initial_speed": "curriculum.initial_speed",
+    "initial_yaw_rate": "curriculum.initial_yaw_rate",
+    "max_speed": "curriculum.max_speed",
+    "max_yaw_rate": "curriculum.max_yaw_rate",
+    "checkpoint_seconds": "logging.checkpoint_seconds",
+    "logger": "logging.logger",
+}
+"""Where version 4 has the settings of version 3."""
+_QUESTIONS = {
+    "relative_mass": True,
+    "odd_resistance": True,
+    "coulomb_smoothing": 0.5,
+    "steering_smoothing": 0.0,
+    "sb_gains_per_degree": True,
+    "scaled_springs": True,
+    "gains_as_ratios": True,
+    "relative_pose": True,
+    "rewards_times_dt": True,
+    "positive_rewards": False,
+    "gravity_in_acceleration": False,
+    "current_in_history": False,
+    "contacting_polygon": False,
+    "driven_smoothness": True,
+    "tilt_limit": 1.0,
+}
+_PRINTED = ("relative_mass", "odd_resistance", "sb_gains_per_degree", "scaled_springs", "gains_as_ratios")
+PROFILES: dict[str, tuple[str, dict[str, Any]]] = {
+    "default": ("default", _QUESTIONS),
+    "literal": (
+        "literal",
+        _QUESTIONS
+        | dict.fromkeys((*_PRINTED, "relative_pose", "rewards_times_dt", "driven_smoothness"), False)
+        | {"coulomb_smoothing": 0.0},
+    ),
+    "ancestor": (
+        "legged_gym",
+        _QUESTIONS
+        | {"coulomb_smoothing": 0.0, "positive_rewards": True, "gravity_in_acceleration": True, "tilt_limit": 0.78},
+    ),
+}
+"""Preset and answers of version 4 that are a profile of version 3."""
+
+
+def nest_the_settings(state: State) -> None:
+    """Make version 4 of 3: settings stand in groups, and the profile is the answers to the open questions."""
+    for owner in (state, state.get("start") or {}):
+        if "config" in owner:
+            owner["config"] = nested(owner["config"])
+
+
+def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of version 4 that mean what a mapping of version 3 meant.
+
+    Raises:
+        CheckpointError: for one that can no longer be said.
+    """
+    old = {name: value for name, value in flat.items() if name != "learners"}  # gone
+    profile, fraction = old.pop("profile", "default"), old.pop("student_fraction", 0.5)
+    margin = [old.pop(name, 2.0) for name in ("runaway_speed", "runaway_yaw_rate")]
+    unknown = [name for name in old if name not in NESTED]
+    if unknown or profile not in PROFILES or fraction != 0.5:
+        wrong = f"{unknown[0]}={old[unknown[0]]!r}" if unknown else f"profile={profile!r}, student_fraction={fraction}"
+        raise CheckpointError(f"its setting {wrong} has no counterpart; use the code that wrote it")
+    preset, answers = PROFILES[profile]
+    values = {NESTED[name]: value for name, value in old.items()}
+    fixed: dict[str, Any] = {"env.staggered_starts": True, "exploration.leg_patterns": True, "exploration.anneal": True}
+    velocity = "kalman_filter" if "sensors" in flat else "integral"
+    fixed |= {"task.sensors": "ideal", "task.displaced_start": 0.0, "task.velocity_filter": velocity}
+    more = {"preset": preset, "env.overspeed_margin": margin, "ppo.kl_stop": 5.0, "task.interpretation": answers}
+    return merged(TrainConfig().to_dict(), {**fixed, **more}, values)
+
+
+CONVERSIONS: tuple[Callable[[State], None], ...] = (separate_exploration, describe_the_task, nest_the_settings)
 """The first makes version 2 of 1, the next 3 of 2, and so on."""
 
 
@@ -121,8 +261,10 @@ def convert_run(run: Path, output: Path | None = None) -> list[str]:
         with atomic(run / name) as temporary:
             torch.save(state, temporary)
             read_checkpoint(temporary)
-    if NAME in old and (run / "config.json").is_file():
-        write_json(run / "config.json", old[NAME]["config"])
+    if NAME in old:
+        with atomic(run / CONFIG) as temporary:
+            temporary.write_text(to_toml(TrainConfig, old[NAME]["config"]), encoding="utf-8")
+        (run / "config.json").unlink(missing_ok=True)  # of version 3 and before
     return list(old)
 
 

@@ -64,7 +64,7 @@ def check_compute(flops):
     # the actor alone: forward once in the rollout, forward and backward in each epoch
     layers = [(79, 512), (512, 256), (256, 128), (128, 12)]
     forward = sum(2 * i * o for i, o in layers)
-    assert 3 * TrainConfig().epochs * forward < flops < 20 * forward
+    assert 3 * TrainConfig().ppo.epochs * forward < flops < 20 * forward
 
 
 def check_profile(profile):

@@ -9,8 +9,9 @@ import pytest
 
 from torchrl_atr import evaluation
 from torchrl_atr.cli import main
+from torchrl_atr.training import read_config
 
-TINY = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
+TINY = ["--num-envs", "2", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
 
 
 @pytest.mark.parametrize(
@@ -18,7 +19,10 @@ TINY = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1",
     [
         ("robots", "a1"),
         ("transporters", "single_board"),
-        ("profiles", "literal"),
+        ("presets", "literal"),
+        ("questions", "(A9):"),
+        ("settings", "ppo.gamma"),
+        ("additions", "ppo.symmetric"),
         ("estimators", "cnn_gru"),
         ("rewards", "termination"),
         ("rewards", "turning_command"),
@@ -35,13 +39,13 @@ def test_list(capsys, what, expected):
     [
         (["train", "--robot", "a2"], "unknown robot 'a2'; known: a1"),
         (["train", "--transporter", "sled"], "unknown transporter 'sled'"),
-        (["train", "--profile", "mine"], "unknown profile 'mine'"),
+        (["train", "--preset", "mine"], "unknown preset 'mine'"),
         (["train", "--estimator", "oracle"], "oracle"),
-        (["train", "--set", "gama=1"], "unknown setting 'gama'"),
-        (["train", "--set", "gamma=2"], "gamma=2.0 is out of range"),
+        (["train", "--ppo.gama", "1"], "unknown argument '--ppo.gama'"),
+        (["train", "--ppo.gamma", "2"], "ppo.gamma=2.0 is out of range"),
         (["train", "--import", "no_such_module"], "cannot import 'no_such_module'"),
-        (["train", "--device", "abacus"], "device='abacus' is unknown; use 'cpu' or 'cuda'"),
-        (["train", "--set", "episode_seconds=2"], "must be at least command_seconds=5"),
+        (["train", "--device", "abacus"], "compute.device='abacus' is unknown; use 'cpu' or 'cuda'"),
+        (["train", "--env.episode-seconds", "2"], "must not exceed env.episode_seconds=2"),
         (["model", "a1", "sled", "--output", "x.xml"], "unknown transporter 'sled'"),
         (["train", "--config", "nowhere.toml"], "no configuration file nowhere.toml"),
         (["train", "--resume", "nowhere"], "there is no checkpoint at nowhere"),
@@ -60,7 +64,7 @@ def test_bad_input_is_one_message_and_exit_code_2(capsys, tmp_path, monkeypatch,
 
 def test_train_evaluate_resume(tmp_path, capsys):
     run, report = tmp_path / "run", tmp_path / "report"
-    tiny = ["--num-envs", "4", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
+    tiny = ["--num-envs", "4", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
     assert main(["train", *tiny, "--total-frames", "32", "--output", str(run)]) == 0
     grid = ["--max-speed", "1", "--speed-step", "1", "--max-yaw-rate", "0", "--robots-per-command", "1"]
     assert main(["evaluate", str(run), *grid, "--output", str(report)]) == 0
@@ -126,8 +130,8 @@ def test_a_run_is_not_overwritten_and_a_resumed_one_keeps_its_settings(tmp_path,
     (run / "checkpoint.pt").touch()
     assert main(["train", "--output", str(run)]) == 2
     assert "holds a run; give another --output" in capsys.readouterr().err
-    assert main(["train", "--resume", str(run), "--seed", "5", "--set", "gamma=0.9"]) == 2
-    assert "--seed, --set: a resumed run keeps its settings" in capsys.readouterr().err
+    assert main(["train", "--resume", str(run), "--seed", "5", "--ppo.gamma", "0.9"]) == 2
+    assert "--seed, --ppo.gamma: a resumed run keeps its settings" in capsys.readouterr().err
     assert (run / "checkpoint.pt").stat().st_size == 0
 
 
@@ -139,7 +143,7 @@ def test_an_estimator_of_ones_own_trains_from_the_command_line(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     arguments = ["train", *TINY, "--total-frames", "8", "--import", "my_estimators", "--estimator", "from_a_module"]
     assert main([*arguments, "--output", "run"]) == 0
-    assert json.loads((tmp_path / "run" / "config.json").read_text())["imports"] == ["my_estimators"]
+    assert read_config(tmp_path / "run" / "config.toml")["imports"] == ["my_estimators"]
 
 
 def test_a_transporter_of_ones_own_trains_and_is_evaluated_from_the_command_line(tmp_path, monkeypatch, capsys):

@@ -20,7 +20,14 @@ from torchrl_atr.cli import commands, main
 from torchrl_atr.evaluation import ReplayedStep
 from torchrl_atr.training import Trainer, make_config
 
-TINY = {"num_envs": 2, "rollout_steps": 2, "total_frames": 8, "num_threads": 1, "minibatches": 1, "critic_cells": [8]}
+TINY = {
+    "env.num_envs": 2,
+    "ppo.rollout_steps": 2,
+    "total_frames": 8,
+    "compute.num_threads": 1,
+    "ppo.minibatches": 1,
+    "ppo.critic_cells": [8],
+}
 PATIENCE = 120.0
 
 

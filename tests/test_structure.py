@@ -14,7 +14,7 @@ import torchrl_atr
 PACKAGE = Path(torchrl_atr.__file__).parent
 FILES = sorted(PACKAGE.rglob("*.py"))
 LAYERS = [  # each may import from those before it, and from what is in none
-    ("torchrl_atr.envs.profiles", "torchrl_atr.envs.specs"),
+    ("torchrl_atr.envs.interpretation", "torchrl_atr.envs.specs"),
     ("torchrl_atr.envs.models",),
     ("torchrl_atr.envs.physics",),
     ("torchrl_atr.envs.transforms.grid",),

@@ -22,13 +22,13 @@ import os, sys, warnings
 warnings.filterwarnings("error", category=EncodingWarning, module=r"(torchrl_atr|benchmarks)\\b")
 from torchrl_atr.cli import main
 run = os.fsdecode("r \\u00e4\\U0001f680".encode())
-settings = ["--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
+settings = ["--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
 few = ["--robots-per-command", "1", "--max-speed", "0", "--max-yaw-rate", "0"]
 for words in (
     ["train", "--num-envs", "4", "--total-frames", "48", *settings, "--output", run],
     ["train", "--resume", run, "--total-frames", "64"],
     ["evaluate", run, *few],
-    ["list", "profiles"],
+    ["list", "questions"],
     ["model", "a1", "two_board", "--output", run + "/m.xml"],
 ):
     assert main(words) == 0, words
@@ -53,7 +53,7 @@ def test_every_command_writes_in_any_encoding_and_utf8_to_files(tmp_path):
 def test_a_list_is_written_in_any_encoding(monkeypatch, encoding):
     written = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding=encoding))
-    assert main(["list", "profiles"]) == 0
+    assert main(["list", "questions"]) == 0
     text = written.getvalue().decode(encoding)
     assert ("ω" if encoding == "utf-16" else "\\u03c9") in text
 
@@ -116,7 +116,7 @@ def test_lines_of_training_fit_120_columns(tmp_path, capsys, size):
 
 def test_training_ends_with_where_the_run_is_and_what_comes_next(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    tiny = ["--num-envs", "2", "--set", "rollout_steps=4", "--set", "minibatches=1", "--set", "num_threads=1"]
+    tiny = ["--num-envs", "2", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
     assert main(["train", *tiny, "--total-frames", "16", "--output", "my run"]) == 0
     last = capsys.readouterr().out.splitlines()[-2:]
     assert last[0].startswith("finished after 16 robot steps in 0.0 minutes; the run is in 'my run'")

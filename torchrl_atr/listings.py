@@ -7,6 +7,9 @@ import inspect
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
+from torchrl_atr._settings import Setting
+from torchrl_atr._settings import settings as declared
+
 
 def _table(rows: Iterable[Iterable[str]]) -> Iterator[str]:
     """Left-aligned columns, the first row their heads."""
@@ -36,15 +39,15 @@ def robots() -> Iterator[str]:
 def transporters() -> Iterator[str]:
     """Registered transporters with their measures; the short names mean the one of the robot's size class."""
     from torchrl_atr.envs import TRANSPORTERS
+    from torchrl_atr.envs.interpretation import Interpretation
     from torchrl_atr.envs.models import DESIGNS
-    from torchrl_atr.envs.profiles import Readings
 
     rows = [["transporter", "size, m", "mass, kg", "boards", "hinges", "springs, N m/rad"]]
     for name in TRANSPORTERS.names():
         spec = TRANSPORTERS.get(name)
         size = " x ".join(f"{side:g}" for side in spec.size)
         hinges = ", ".join(hinge.name.removeprefix("platform_") for hinge in spec.design.hinges)
-        springs = ", ".join(f"{value:.1f}" for value in spec.springs(Readings())[0])
+        springs = ", ".join(f"{value:.1f}" for value in spec.springs(Interpretation())[0])
         rows.append([name, size, f"{spec.mass:g}", str(len(spec.design.boards)), hinges, springs])
     yield from _table(rows)
     yield ""
@@ -114,39 +117,108 @@ def tasks() -> Iterator[str]:
 
 
 def settings() -> Iterator[str]:
-    """Every setting of a run (``--set NAME=VALUE``) with its default and range."""
-    import dataclasses
-
-    from torchrl_atr.training.config import TrainConfig
-    from torchrl_atr.training.ranges import RANGES
-
-    rows = [["setting", "default", "range"]]
-    for field in dataclasses.fields(TrainConfig):
-        limits = " to ".join(f"{limit:.10g}" for limit in RANGES.get(field.name, ()))
-        rows.append([field.name, _value(field.default), limits])
+    """Yield every setting of a run with its default, its value in the preset ``paper``, its range and its reason."""
+    rows = [["setting", "default", "paper", "range", "what it is, and why"]]
+    for path, each in _settings().items():
+        rows.append([path, _value(each.default), _value(each.value_in("paper")), each.range, each.text])
     return _table(rows)
 
 
-def profiles() -> Iterator[str]:
-    """Every open point of the paper: its value in each profile, and why; first the env's, then the recipe's."""
-    from torchrl_atr.envs import PROFILES
-    from torchrl_atr.envs.profiles import points
-    from torchrl_atr.training import RECIPE_POINTS, make_config
+def presets() -> Iterator[str]:
+    """Yield every preset with the settings that differ from the defaults."""
+    from torchrl_atr.training import PRESETS
 
-    names = PROFILES.names()
-    for title, chosen, settings in (
-        ("Env (torchrl_atr.envs.Readings)", points(), {name: PROFILES.get(name) for name in names}),
-        ("Recipe (--set NAME=VALUE)", RECIPE_POINTS, {name: make_config({"profile": name}) for name in names}),
-    ):
-        yield title
-        for field, point in chosen.items():
-            values = ", ".join(f"{name} {_value(getattr(settings[name], field))}" for name in names)
-            yield f"  {field} ({point.number}): {values}"
-            yield from (f"      {line}" for line in point.why.splitlines())
+    for name in PRESETS:
+        yield name
+        yield from (f"  {path} = {_value(value)}" for path, value in PRESETS.get(name).items())
+
+
+def additions() -> Iterator[str]:
+    """Yield what this package adds to the paper's method: the setting, its values, and why it is on by default."""
+    from torchrl_atr.training import additions as known
+
+    rows = [["addition", "setting", "off (paper)", "default", "what it is, and why"]]
+    return _table([*rows, *([each.what, each.switch, _value(each.off), _value(each.on), each.why] for each in known())])
+
+
+def questions() -> Iterator[str]:
+    """Yield every open question of the paper that a setting answers: its value in each preset, and why."""
+    from torchrl_atr.training import PRESETS
+
+    for path, each in _settings().items():
+        if each.question:
+            values = ", ".join(f"{name} {_value(each.value_in(name))}" for name in PRESETS)
+            yield f"{path} ({each.question}): {values}"
+            yield f"    {each.text}"
+
+
+def settings_page() -> Iterator[str]:
+    """Yield docs/settings.md: the presets ``default`` and ``paper`` field by field, and the additions."""
+    from torchrl_atr.training import additions as known
+
+    yield from _PAGE.splitlines()
+    yield from ("", "| addition | setting | off (`paper`) | default | what it is, and why |")
+    yield "| --- | --- | --- | --- | --- |"
+    for each in known():
+        yield f"| {each.what} | `{each.switch}` | {_value(each.off)} | {_value(each.on)} | {_cell(each.why)} |"
+    group = ""
+    for path, declaration in _settings().items():
+        own = path.rpartition(".")[0] or "run"
+        if own != group:
+            yield from ("", f"## {own}", "", "| setting | `default` | `paper` | range | what it is, and why |")
+            yield "| --- | --- | --- | --- | --- |"
+            group = own
+        default, paper = _value(declaration.default), _value(declaration.value_in("paper"))
+        paper = paper if paper == default else f"**{paper}**"
+        text = _cell(declaration.text)
+        yield f"| `{path.rpartition('.')[2]}` | {default} | {paper} | {declaration.range} | {text} |"
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+_PAGE = """# Settings
+
+Written by `torchrl-atr list settings --markdown`; a test holds this page to the code.
+
+A run is described by nested settings. They come from Python (`make_config`), from a file (`--config run.toml`) and from
+the command line (`--ppo.gamma 0.99`; `torchrl-atr train --help` shows the short options). Where several say something,
+the later of these wins:
+
+1. the default,
+2. the preset (`--preset paper`, or `preset = "paper"` in a file),
+3. what the task says (`TASK_SETTINGS`; riding says nothing, walking has its own),
+4. the run that a new one begins from (`--from`), and then the file (`--config`),
+5. the command line.
+
+Every run writes `config.toml`, all of its settings with what they are: edit it and start from it with `--config`.
+Its settings win over a preset's.
+
+The preset `paper` is the paper's own method. It answers the open questions so that the paper's text comes true
+([readings.md](readings.md)), has the printed rewards (r8 included), 4,096 robots, episodes of 10 s with a change of
+command at 5 s and pushes at 3, 6 and 9 s, and Extreme Parkour's hyper-parameters of PPO where the paper
+gives none. Four things are neither the paper's nor switched off, since something has to take their place: networks read
+observations in standard deviations (a running normaliser), the rate of the policy follows the KL divergence (as in
+legged_gym), critic and estimators have optimisers of their own, and steps that are not finite are left out.
+
+## What is added to the paper's method
+
+Each addition is one setting. All are off in `paper`, `literal` and `legged_gym`."""
+
+
+def _settings() -> dict[str, Setting]:
+    from torchrl_atr.training import TrainConfig
+
+    return declared(TrainConfig)
 
 
 def _value(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value).lower()
+    if isinstance(value, dict):
+        return str(value or "none")
+    if isinstance(value, list | tuple):
+        return ",".join(map(_value, value)) or "none"
+    return f"{value:,}" if type(value) is int else f"{value:g}" if isinstance(value, float) else str(value).lower()
 
 
 def _summary(thing: Any) -> str:
@@ -160,7 +232,9 @@ LISTINGS: dict[str, Callable[[], Iterable[str]]] = {
     "transporters": transporters,
     "estimators": estimators,
     "rewards": rewards,
-    "profiles": profiles,
+    "questions": questions,
+    "additions": additions,
+    "presets": presets,
     "settings": settings,
 }
 """What can be listed."""

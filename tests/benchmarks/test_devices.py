@@ -10,7 +10,7 @@ from benchmarks import devices
 
 
 def test_every_size_is_measured_on_every_device_found(tmp_path):
-    few = ["--num-envs", "4", "8", "--rounds", "1", "--seconds", "0", "--set", "compiled=false"]
+    few = ["--num-envs", "4", "8", "--rounds", "1", "--seconds", "0", "--set", "compute.compiled=false"]
     assert devices.main([*few, "--output", str(tmp_path)]) == 0
     rows = json.loads((tmp_path / "devices.json").read_text())["rows"]
     found = ["cpu", "cuda"] if torch.cuda.is_available() else ["cpu"]

@@ -75,7 +75,13 @@ def test_a_tie_counts_only_where_nobody_falls(survival, still, beats):
 
 
 def test_it_trains_compares_and_does_not_train_again(tmp_path, monkeypatch):
-    tiny = {"num_envs": 4, "rollout_steps": 4, "minibatches": 1, "num_threads": 1, "total_frames": 32}
+    tiny = {
+        "env.num_envs": 4,
+        "ppo.rollout_steps": 4,
+        "ppo.minibatches": 1,
+        "compute.num_threads": 1,
+        "total_frames": 32,
+    }
     make_config = every_pair.make_config
     monkeypatch.setattr(every_pair, "make_config", lambda values: make_config({**tiny, **values}))
     monkeypatch.setattr(every_pair, "ROBOTS_COMPARED", 2)
@@ -92,6 +98,6 @@ def test_it_trains_compares_and_does_not_train_again(tmp_path, monkeypatch):
 def test_runs_of_other_settings_are_refused(tmp_path, capsys):
     folder = tmp_path / "a1-single_board"
     folder.mkdir()
-    (folder / "config.json").write_text('{"max_minutes": 3.0}')
+    (folder / "config.toml").write_text("max_minutes = 3.0\n")
     assert every_pair.main(["--output", str(tmp_path), "--pairs", "a1:single_board"]) == 2
     assert "trained with max_minutes=3.0 instead of 10.0; give another folder" in capsys.readouterr().err

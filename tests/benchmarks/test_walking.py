@@ -23,7 +23,13 @@ def test_it_trains_measures_and_goes_on_where_it_was(tmp_path, monkeypatch):
     small = {"SECONDS": 0.1, "SETTLE": 0.02, "ROBOTS": 1, "GAIT_SECONDS": 0.1, "GAIT_ROBOTS": 2, "SPEEDS": (0.0, 1.0)}
     for name, value in small.items():
         monkeypatch.setattr(walking, name, value)
-    tiny = {"num_envs": 8, "rollout_steps": 4, "compiled": False, "num_threads": 1, "torch_threads": 1}
+    tiny = {
+        "env.num_envs": 8,
+        "ppo.rollout_steps": 4,
+        "compute.compiled": False,
+        "compute.num_threads": 1,
+        "compute.torch_threads": 1,
+    }
     make = walking.make_config
     monkeypatch.setattr(walking, "make_config", lambda settings: make({**settings, **tiny}))
     folders = ["--run", str(tmp_path / "run"), "--output", str(tmp_path / "report")]

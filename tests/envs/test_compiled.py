@@ -28,8 +28,8 @@ def ride(compiled: bool, name: str = "riding", **options):
 @with_compiler
 @pytest.mark.parametrize(
     "options",
-    [{}, {"profile": "literal"}, {"transporter": "two_board", "profile": "ancestor"}, {"name": "walking"}],
-    ids=["default", "literal", "two boards, ancestor", "walking"],
+    [{}, {"profile": "literal"}, {"transporter": "two_board", "profile": "legged_gym"}, {"name": "walking"}],
+    ids=["default", "literal", "two boards, legged_gym", "walking"],
 )
 def test_a_compiled_step_is_the_eager_one_to_rounding(options):
     torch._dynamo.utils.counters.clear()

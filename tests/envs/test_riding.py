@@ -320,7 +320,7 @@ class TestBadInput:
         [
             ({"robot": "cat"}, "unknown robot 'cat'; known: a1"),
             ({"transporter": "sledge"}, "unknown transporter 'sledge'; known: single_board"),
-            ({"profile": "wild"}, "unknown profile 'wild'; known: default, literal, ancestor"),
+            ({"profile": "wild"}, "unknown profile 'wild'; known: default, paper, literal"),
             ({"randomization": "all"}, "unknown randomization 'all'; choose one of train, test, off"),
             ({"physics": "warp"}, "unknown physics 'warp'; choose 'batch' or 'dm_control'"),
             ({"physics": "dm_control", "num_envs": 2}, "num_envs=2 needs physics='batch'"),

@@ -6,16 +6,16 @@ import torch
 
 FRAMES = 6 * 64
 SMALL = {
-    "num_envs": 8,
-    "rollout_steps": 8,
+    "env.num_envs": 8,
+    "ppo.rollout_steps": 8,
     "total_frames": FRAMES,
-    "num_threads": 1,
-    "torch_threads": 1,
-    "minibatches": 2,
-    "epochs": 2,
-    "episode_seconds": 0.3,  # some episodes end in every batch
-    "command_seconds": 0.2,
-    "score_from_seconds": 0.02,
+    "compute.num_threads": 1,
+    "compute.torch_threads": 1,
+    "ppo.minibatches": 2,
+    "ppo.epochs": 2,
+    "env.episode_seconds": 0.3,  # some episodes end in every batch
+    "curriculum.command_seconds": 0.2,
+    "curriculum.score_from_seconds": 0.02,
 }
 
 

@@ -10,7 +10,9 @@ from torchrl_atr.training import DEPLOYED, ConfigError, make_config, make_env, m
 from torchrl_atr.training.assembly import TOGETHER
 
 TRUTH = {("privileged", "intrinsic"), ("privileged", "extrinsic")}
-CONFIG = make_config({"num_envs": 64, "max_speed": 3.0, "max_yaw_rate": 1.0, "num_threads": 1})
+CONFIG = make_config(
+    {"env.num_envs": 64, "curriculum.max_speed": 3.0, "curriculum.max_yaw_rate": 1.0, "compute.num_threads": 1}
+)
 
 
 def test_training_starts_at_staggered_times_and_within_the_bounds():
@@ -20,8 +22,10 @@ def test_training_starts_at_staggered_times_and_within_the_bounds():
 
 
 def test_robots_reach_their_time_limits_together():
-    short = {"episode_seconds": 0.4, "command_seconds": 0.4, "score_from_seconds": 0.0}
-    data = make_env(make_config({**short, "num_envs": 16, "num_threads": 1})).rollout(60, break_when_any_done=False)
+    short = {"env.episode_seconds": 0.4, "curriculum.command_seconds": 0.4, "curriculum.score_from_seconds": 0.0}
+    data = make_env(make_config({**short, "env.num_envs": 16, "compute.num_threads": 1})).rollout(
+        60, break_when_any_done=False
+    )
     ends = data["next", "truncated"].squeeze(-1).any(0).nonzero().squeeze(-1) + 1
     assert len(ends) > 2
     assert not (ends % TOGETHER).any()
@@ -37,7 +41,9 @@ def test_a_deployed_policy_starts_at_the_beginning_and_takes_any_command():
 
 @pytest.mark.parametrize(("largest", "bounds"), [(0.0, (1.5, 1.0)), (2.0, (2.0, 1.0)), (1.0, (1.5, 1.0))])
 def test_a_deployed_walker_takes_the_task_s_commands_and_those_it_was_trained_for(largest, bounds):
-    config = make_config({"task": "walking", "num_envs": 1, "max_speed": largest, "num_threads": 1})
+    config = make_config(
+        {"task.name": "walking", "env.num_envs": 1, "curriculum.max_speed": largest, "compute.num_threads": 1}
+    )
     assert make_env(config).curriculum.grid.bounds == (largest or 1.5, 1.0)
     grid = make_env(config, **DEPLOYED).curriculum.grid
     assert grid.bounds == bounds
@@ -45,7 +51,9 @@ def test_a_deployed_walker_takes_the_task_s_commands_and_those_it_was_trained_fo
 
 
 def test_a_part_that_the_task_does_not_have_is_refused_and_its_default_ignored():
-    config = make_config({"task": "walking", "transporter": "single_board", "num_envs": 1, "num_threads": 1})
+    config = make_config(
+        {"task.name": "walking", "task.transporter": "single_board", "env.num_envs": 1, "compute.num_threads": 1}
+    )
     assert "transporter" not in config.make_task().arguments
     with pytest.raises(ConfigError, match="transporter='two_board': the task 'walking' has no transporter; leave it"):
         make_env(config, transporter="two_board", **DEPLOYED)
@@ -55,19 +63,21 @@ def test_a_part_that_the_task_does_not_have_is_refused_and_its_default_ignored()
     ("settings", "policy", "critic"),
     [
         ({}, {"dead_reckoned_velocity"}, TRUTH | {("privileged", "outlook")}),
-        ({"dead_reckoning": False, "tracking_forecast": False}, set(), TRUTH),
-        ({"privileged_critic": False}, {"dead_reckoned_velocity"}, set()),
+        ({"estimator.dead_reckoning": False, "ppo.tracking_forecast": False}, set(), TRUTH),
+        ({"ppo.privileged_critic": False}, {"dead_reckoned_velocity"}, set()),
     ],
 )
 def test_settings_say_what_networks_read(settings, policy, critic):
-    config = make_config({"num_envs": 2, "num_threads": 1, "critic_cells": [8], **settings})
+    config = make_config({"env.num_envs": 2, "compute.num_threads": 1, "ppo.critic_cells": [8], **settings})
     networks = make_run_networks(config, make_env(config))
     assert set(networks.deployed_policy().in_keys) == {"observation", "history"} | policy
     assert set(networks.critic_module.in_keys) == {"observation"} | critic
 
 
 def test_outputs_move_directions_of_exploration_with_the_gains_of_their_first_variances():
-    config = make_config({"num_envs": 1, "init_std": 0.3, "relative_std": 0.1, "num_threads": 1})
+    config = make_config(
+        {"env.num_envs": 1, "exploration.init_std": 0.3, "exploration.relative_std": 0.1, "compute.num_threads": 1}
+    )
     networks, basis = make_run_networks(config, make_env(config)), leg_synergies()
     assert torch.equal(networks.exploration.basis, basis)
     torch.testing.assert_close(networks.exploration.std(), torch.tensor([0.3] * 3 + [0.1] * 9))

@@ -17,16 +17,16 @@ from torchrl_atr.training.collection import Collection, CollectionError
 needs_ray = pytest.param(
     "ray", marks=pytest.mark.skipif(find_spec("ray") is None, reason="Ray is an extra: pip install 'torchrl_atr[ray]'")
 )
-TINY = {"num_envs": 8, "rollout_steps": 4, "minibatches": 1, "num_threads": 1, "workers": 2}
+TINY = {"env.num_envs": 8, "ppo.rollout_steps": 4, "ppo.minibatches": 1, "compute.num_threads": 1, "compute.workers": 2}
 
 
 def start(collector):
-    config = make_config({**TINY, "collector": collector})
+    config = make_config({**TINY, "compute.collector": collector})
     torch.manual_seed(0)
     env = make_env(config)
     networks = make_run_networks(config, env)
     learner = Learner(networks, config)
-    policy = correlate(networks.rollout_policy(config.act_source, config.student_fraction), config.noise_correlation)
+    policy = correlate(networks.rollout_policy(config.roa.act_source), config.exploration.noise_correlation)
     return config, learner, Collection(config, env, partial(make_env, config), policy)
 
 
@@ -41,7 +41,9 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
             assert batch.shape == (8, 4)
             flat = batch.reshape(-1)
             with torch.no_grad():
-                log_prob = networks.training_actor(config.act_source).get_dist(flat.clone()).log_prob(flat["action"])
+                log_prob = (
+                    networks.training_actor(config.roa.act_source).get_dist(flat.clone()).log_prob(flat["action"])
+                )
             torch.testing.assert_close(log_prob, flat["action_log_prob"], rtol=0, atol=1e-5)
             learner.update(batch)
             collection.publish()
@@ -80,20 +82,20 @@ def test_what_the_learner_adds_to_a_batch_is_not_in_the_next_one():
 
 def test_robots_must_divide_among_the_workers():
     with pytest.raises(ConfigError, match="num_envs=7 cannot be shared evenly by workers=2"):
-        make_config({**TINY, "num_envs": 7, "collector": "process"})
+        make_config({**TINY, "env.num_envs": 7, "compute.collector": "process"})
     with pytest.raises(ConfigError, match="collector='ssh' is unknown; choose one of direct, process, ray"):
-        make_config({"collector": "ssh"})
+        make_config({"compute.collector": "ssh"})
 
 
 def kill_a_worker(collection):
     """SIGKILL; returns the processes of the local engines."""
-    if collection.config.collector == "ray":
+    if collection.config.compute.collector == "ray":
         import ray
 
         ray.kill(collection.collector.remote_collectors[-1])
         return []
     workers = list(
-        collection.collector.procs if collection.config.collector == "process" else collection.collector.jobs
+        collection.collector.procs if collection.config.compute.collector == "process" else collection.collector.jobs
     )
     workers[-1].kill()
     return [worker.pid for worker in workers]

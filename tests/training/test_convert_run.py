@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import tomllib
 
 import pytest
 import torch
 
 from scripts import convert_run
 from tests.training.states import SMALL, differing
+from torchrl_atr._nested import flat
 from torchrl_atr.training import CheckpointError, Trainer, load_checkpoint, load_run, make_config
 from torchrl_atr.training.checkpoint import VERSION
 
@@ -36,10 +38,13 @@ def as_version_1(state):
 
 
 def old_settings(settings):
-    """The settings as version 1 named them."""
+    """The settings as version 1 named them, flat."""
     renamed = {"steering_weight_peak": "steering_emphasis", "steering_weight_end": "final_emphasis"}
     new = ("tracking_forecast", "task")
-    return {renamed.get(name, name): value for name, value in settings.items() if name not in new}
+    given = flat(settings)
+    old = {name: given[path] for name, path in convert_run.NESTED.items() if name not in renamed.values()}
+    old |= {"profile": "default", "runaway_speed": 2.0, "runaway_yaw_rate": 2.0, "student_fraction": 0.5}
+    return {renamed.get(name, name): value for name, value in old.items() if name not in new}
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +61,7 @@ def old_run(run, tmp_path):
     folder.mkdir()
     for name in ("checkpoint.pt", "previous.pt"):
         torch.save(as_version_1(torch.load(run / name, weights_only=True)), folder / name)
-    settings = old_settings(json.loads((run / "config.json").read_text()))
+    settings = old_settings(tomllib.loads((run / "config.toml").read_text()))
     (folder / "config.json").write_text(json.dumps(settings))
     (folder / "progress.csv").write_text("frames\n")
     return folder
@@ -74,7 +79,8 @@ def test_a_converted_run_is_the_one_of_today(run, old_run, tmp_path, capsys, cop
     for name in ("checkpoint.pt", "previous.pt"):
         today = load_checkpoint(run / name)  # but for the episodes that were under way
         assert not differing(load_checkpoint(target / name), {**today, "collection": {}})
-    assert json.loads((target / "config.json").read_text()) == json.loads((run / "config.json").read_text())
+    assert (target / "config.toml").read_text() == (run / "config.toml").read_text()
+    assert not (target / "config.json").exists()
     assert (target / "progress.csv").read_text() == "frames\n"
     assert load_checkpoint(target)["version"] == VERSION
     load_run(target, num_envs=1)
@@ -115,3 +121,20 @@ def test_a_folder_without_checkpoints_and_a_copy_in_the_way_are_named(old_run, t
     assert f"there is no checkpoint in {tmp_path}" in capsys.readouterr().err
     assert convert_run.main([str(old_run), str(tmp_path)]) == 2
     assert f"{tmp_path} exists" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("profile", ["literal", "ancestor"])
+def test_a_profile_becomes_a_preset_and_its_answers(profile):
+    config = make_config(convert_run.nested({"profile": profile, "gamma": 0.9, "retry": 0.0, "runaway_speed": 1.0}))
+    assert config.preset == {"ancestor": "legged_gym"}.get(profile, profile)
+    assert config.task.interpretation.driven_smoothness is (profile == "ancestor")
+    assert config.task.interpretation.relative_mass is (profile == "ancestor")
+    assert (config.ppo.gamma, config.env.failed_episode_replay) == (0.9, 0.0)
+    assert config.env.overspeed_margin == (1.0, 2.0)
+    assert config.ppo.kl_stop == 5.0  # as it was, whatever the preset says
+
+
+@pytest.mark.parametrize("settings", [{"rest_share": 0.2}, {"student_fraction": 0.3}, {"profile": "mine"}])
+def test_a_setting_that_is_gone_is_named(settings):
+    with pytest.raises(CheckpointError, match=f"{next(iter(settings))}.* has no counterpart"):
+        convert_run.nested(settings)

@@ -14,20 +14,26 @@ from torchrl_atr.modules import OnDevice
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, make_run_networks, run_config
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; torch finds none here")
-SETTINGS = {"num_envs": 8, "rollout_steps": 8, "total_frames": 3 * 64, "num_threads": 1, "device": "cuda"}
+SETTINGS = {
+    "env.num_envs": 8,
+    "ppo.rollout_steps": 8,
+    "total_frames": 3 * 64,
+    "compute.num_threads": 1,
+    "compute.device": "cuda",
+}
 
 
 @pytest.mark.parametrize("compiled", [False, True])
 def test_it_trains_there_and_goes_on_and_rides_without_it(tmp_path, compiled):
     metrics = []
-    trainer = Trainer(make_config({**SETTINGS, "compiled": compiled}), tmp_path / "run")
+    trainer = Trainer(make_config({**SETTINGS, "compute.compiled": compiled}), tmp_path / "run")
     trainer.train(metrics.append)
     assert {parameter.device.type for parameter in trainer.learner.networks.parameters()} == {"cuda"}
     assert trainer.env.base_env.device.type == "cpu"
     assert all(torch.isfinite(torch.tensor(list(m.values()))).all() for m in metrics)
     _, env, networks, _ = load_run(tmp_path / "run", num_envs=2)
     assert env.rollout(3, networks.deployed_policy())["action"].device.type == "cpu"
-    begun = Trainer(make_config({**SETTINGS, "compiled": compiled}), tmp_path / "begun", start=tmp_path / "run")
+    begun = Trainer(make_config({**SETTINGS, "compute.compiled": compiled}), tmp_path / "begun", start=tmp_path / "run")
     assert begun.train() is None
     state = load_checkpoint(tmp_path / "run")
     resumed = Trainer(
@@ -40,7 +46,7 @@ def test_it_trains_there_and_goes_on_and_rides_without_it(tmp_path, compiled):
 def learned(tmp_path, **settings):
     """A learner's parameters and metrics after several updates on one batch that both of them see."""
     torch.manual_seed(0)
-    trainer = Trainer(make_config({**SETTINGS, "minibatches": 1, **settings}), tmp_path)
+    trainer = Trainer(make_config({**SETTINGS, "ppo.minibatches": 1, **settings}), tmp_path)
     batch = trainer.collection.collect().clone()
     metrics = [trainer.learner.update(batch.clone()) for _ in range(3)]
     trainer._close()
@@ -82,7 +88,7 @@ def waits(act):
 def test_no_optimiser_step_waits_for_the_gpu(tmp_path, uncompiled_env, compiled):
     found = []
     for epochs in (2, 7):
-        settings = {**SETTINGS, "compiled": compiled, "epochs": epochs, "adaptation_epochs": epochs}
+        settings = {**SETTINGS, "compute.compiled": compiled, "ppo.epochs": epochs, "estimator.epochs": epochs}
         trainer = Trainer(make_config(settings), tmp_path / str(epochs))
         for _ in range(3):
             trainer.iterate()
@@ -96,7 +102,7 @@ def test_no_optimiser_step_waits_for_the_gpu(tmp_path, uncompiled_env, compiled)
 def test_a_policy_there_writes_what_it_writes_here_and_waits_for_that_alone(captured):
     env = make_riding_env(num_envs=4, num_threads=1)
     torch.manual_seed(0)
-    networks = make_run_networks(make_config({"num_envs": 4, "num_threads": 1}), env)
+    networks = make_run_networks(make_config({"env.num_envs": 4, "compute.num_threads": 1}), env)
     data, plain = env.reset(), networks.rollout_policy("mixed", 0.5)
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         wanted = plain(data.clone()).select(*plain.out_keys)

@@ -13,7 +13,14 @@ from torchrl_atr.modules import MLPEstimator
 from torchrl_atr.modules.estimators import _ESTIMATORS
 from torchrl_atr.training import DEPLOYED, Trainer, load_run, make_config
 
-TINY = {"num_envs": 8, "rollout_steps": 4, "total_frames": 64, "num_threads": 1, "minibatches": 1, "critic_cells": [8]}
+TINY = {
+    "env.num_envs": 8,
+    "ppo.rollout_steps": 4,
+    "total_frames": 64,
+    "compute.num_threads": 1,
+    "ppo.minibatches": 1,
+    "ppo.critic_cells": [8],
+}
 
 
 class Dropout(MLPEstimator):
@@ -40,7 +47,7 @@ def trainer(request, tmp_path_factory):
     """A finished run whose estimators do something else in training."""
     name = request.param.__name__
     _ESTIMATORS._entries[name] = request.param
-    trainer = Trainer(make_config({**TINY, "estimator": name}), tmp_path_factory.mktemp(name) / "run")
+    trainer = Trainer(make_config({**TINY, "estimator.name": name}), tmp_path_factory.mktemp(name) / "run")
     trainer.train()
     yield trainer
     del _ESTIMATORS._entries[name]

@@ -8,7 +8,14 @@ import torch
 from torchrl_atr.training import Trainer, TrainingDiverged, load_checkpoint, make_config
 from torchrl_atr.training.guard import PATIENCE
 
-TINY = {"num_envs": 8, "rollout_steps": 8, "total_frames": 4 * 64, "num_threads": 1, "minibatches": 2, "epochs": 1}
+TINY = {
+    "env.num_envs": 8,
+    "ppo.rollout_steps": 8,
+    "total_frames": 4 * 64,
+    "compute.num_threads": 1,
+    "ppo.minibatches": 2,
+    "ppo.epochs": 1,
+}
 
 
 def spoil_gradient(trainer, times):
@@ -32,7 +39,7 @@ def test_one_bad_gradient_is_left_out_and_counted(tmp_path):
 
 
 def test_many_in_a_row_end_the_run_at_its_last_good_checkpoint(tmp_path):
-    config = make_config({**TINY, "total_frames": 100 * 64, "checkpoint_seconds": 0.0})
+    config = make_config({**TINY, "total_frames": 100 * 64, "logging.checkpoint_seconds": 0.0})
     trainer = Trainer(config, tmp_path / "run")
     good = {}
 
@@ -49,11 +56,13 @@ def test_many_in_a_row_end_the_run_at_its_last_good_checkpoint(tmp_path):
 
 
 def test_a_policy_that_went_too_far_waits_for_the_next_batch(tmp_path):
-    config = make_config({**TINY, "epochs": 8, "learning_rate": 0.5, "max_learning_rate": 0.5, "total_frames": 64})
+    config = make_config(
+        {**TINY, "ppo.epochs": 8, "ppo.learning_rate": 0.5, "ppo.max_learning_rate": 0.5, "total_frames": 64}
+    )
     trainer = Trainer(config, tmp_path / "run")
     trainer.train()
     policy, estimators = (trainer.learner.optimizers[name] for name in ("policy", "estimators"))
-    assert {int(state["step"]) for state in estimators.state.values()} == {2 * config.adaptation_epochs}
+    assert {int(state["step"]) for state in estimators.state.values()} == {2 * config.estimator.epochs}
     taken = {int(state["step"]) for state in policy.state.values()}
     assert len(taken) == 1
     assert 1 <= taken.pop() < 16

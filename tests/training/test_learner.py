@@ -19,14 +19,21 @@ from torchrl_atr.training import (
 
 
 def small_learner(**settings):
-    config = make_config({"num_envs": 2, "rollout_steps": 2, "num_threads": 1, "minibatches": 1, **settings})
+    config = make_config(
+        {"env.num_envs": 2, "ppo.rollout_steps": 2, "compute.num_threads": 1, "ppo.minibatches": 1, **settings}
+    )
     env = make_env(config)
     return Learner(make_run_networks(config, env), config, reward_schedule=make_reward_schedule(env)), env
 
 
 @pytest.mark.parametrize("ramp", [False, True])
 def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp):
-    anneal = {"anneal_from": 0.4, "anneal_until": 0.8, "init_std": 0.3, "final_std": 0.1}
+    anneal = {
+        "exploration.anneal_from": 0.4,
+        "exploration.anneal_until": 0.8,
+        "exploration.init_std": 0.3,
+        "exploration.final_std": 0.1,
+    }
     learner, _ = small_learner(**anneal, target_kl=0.03, final_kl=0.01, roa_coeff=0.2, roa_ramp=ramp)
     half = 0.3 / 3**0.5, 0.02
     for progress, ceiling, kl in ((0.0, 0.3, 0.03), (0.4, 0.3, 0.03), (0.6, *half), (0.8, 0.1, 0.01), (1.2, 0.1, 0.01)):
@@ -42,7 +49,7 @@ def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp)
 def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay(final, last):
     learner, env = small_learner(num_envs=4, steering_weight_peak=5, steering_weight_end=final, anneal_until=0.8)
     config, rewards = learner.config, []
-    policy, advantage = learner.networks.rollout_policy(config.act_source), learner.advantage
+    policy, advantage = learner.networks.rollout_policy(config.roa.act_source), learner.advantage
     with torch.no_grad():
         batch = env.rollout(2, policy, break_when_any_done=False)
     learner.advantage = lambda data: (rewards.append(data["next", "reward"].clone()), advantage(data))[1]
@@ -58,7 +65,9 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay(final, last)
 def test_terms_count_as_scheduled_and_a_missing_one_is_named():
     learner, env = small_learner()
     with torch.no_grad():
-        batch = env.rollout(2, learner.networks.rollout_policy(learner.config.act_source), break_when_any_done=False)
+        batch = env.rollout(
+            2, learner.networks.rollout_policy(learner.config.roa.act_source), break_when_any_done=False
+        )
     seen, advantage = [], learner.advantage
     learner.advantage = lambda data: (seen.append(data["next", "reward"].clone()), advantage(data))[1]
     terms, plain = batch["next", "reward_terms"], batch["next", "reward"].clone()
@@ -79,7 +88,7 @@ def test_terms_count_as_scheduled_and_a_missing_one_is_named():
 
 def updates(learner, env, times):
     """After each of so many iterations, a copy of the networks' state."""
-    policy, states = learner.networks.rollout_policy(learner.config.act_source), []
+    policy, states = learner.networks.rollout_policy(learner.config.roa.act_source), []
     for _ in range(times):
         with torch.no_grad():
             batch = env.rollout(2, policy, break_when_any_done=False)
@@ -123,18 +132,25 @@ def test_a_learner_of_before_there_was_a_mean_deploys_its_networks():
 @pytest.mark.skipif(compiler() is None, reason="no C++ compiler on PATH")
 def test_compiled_losses_and_policy_do_what_the_eager_ones_do_schedules_included():
     still = dict.fromkeys(("learning_rate", "critic_learning_rate", "estimator_learning_rate"), 1e-9)
-    settings = {"num_envs": 8, "rollout_steps": 4, "num_threads": 1, "minibatches": 1, "epochs": 1, "roa_ramp": True}
+    settings = {
+        "env.num_envs": 8,
+        "ppo.rollout_steps": 4,
+        "compute.num_threads": 1,
+        "ppo.minibatches": 1,
+        "ppo.epochs": 1,
+        "roa.ramp": True,
+    }
     env = make_env(make_config(settings))
     start, batch, found = env.reset(), None, {}
     torch._dynamo.utils.counters.clear()
     for compiled in (False, True):
-        config = make_config({**settings, **still, "compiled": compiled})
+        config = make_config({**settings, **still, "compute.compiled": compiled})
         torch.manual_seed(0)
         learner = Learner(make_run_networks(config, env), config)
         with torch.no_grad():
             acted = make_policy(config, learner.networks)(start.clone())
             if batch is None:
-                policy = learner.networks.rollout_policy(config.act_source)
+                policy = learner.networks.rollout_policy(config.roa.act_source)
                 batch = env.rollout(4, policy, auto_reset=False, tensordict=start.clone(), break_when_any_done=False)
         metrics = []
         for progress in (0.25, 0.75):
@@ -167,8 +183,8 @@ class Looks(TorchDispatchMode):
 def test_no_optimiser_step_and_no_policy_step_looks_at_values():
     looks = []
     for epochs in (1, 4):
-        settings = {"num_envs": 8, "rollout_steps": 4, "num_threads": 1, "minibatches": 2}
-        config = make_config({**settings, "epochs": epochs, "adaptation_epochs": epochs})
+        settings = {"env.num_envs": 8, "ppo.rollout_steps": 4, "compute.num_threads": 1, "ppo.minibatches": 2}
+        config = make_config({**settings, "ppo.epochs": epochs, "estimator.epochs": epochs})
         env = make_env(config)
         learner = Learner(make_run_networks(config, env), config)
         policy = make_policy(config, learner.networks)

@@ -11,7 +11,14 @@ from torchrl_atr.cli import main
 from torchrl_atr.envs import ROBOTS, TRANSPORTERS
 from torchrl_atr.training import CheckpointError, Trainer, load_checkpoint, load_run, make_config
 
-TINY = {"num_envs": 2, "rollout_steps": 2, "total_frames": 8, "num_threads": 1, "minibatches": 1, "critic_cells": [8]}
+TINY = {
+    "env.num_envs": 2,
+    "ppo.rollout_steps": 2,
+    "total_frames": 8,
+    "compute.num_threads": 1,
+    "ppo.minibatches": 1,
+    "ppo.critic_cells": [8],
+}
 GRID = ["--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
 
 
@@ -69,7 +76,7 @@ def test_what_is_asked_for_is_used(run, heavier, tmp_path):
     report = ["--output", str(tmp_path / "report")]
     assert main(["evaluate", str(run), "--robot", "a1", *GRID, *report]) == 0
     assert main(["evaluate", str(run), "--robot", "go1", *GRID, *report]) == 0
-    for index, choice in enumerate((["--robot", "a1"], ["--robot", "go1"], ["--set", "robot=a1"])):
+    for index, choice in enumerate((["--robot", "a1"], ["--robot", "go1"], ["--task.robot", "a1"])):
         assert main(["train", "--from", str(run), *choice, "--output", str(tmp_path / str(index))]) == 0
 
 

@@ -27,13 +27,13 @@ from torchrl_atr.envs.tasks import TASKS, riding
 from torchrl_atr.training import Callback, CheckpointError, ConfigError, Trainer, load_checkpoint, load_run, make_config
 
 SMALL = {
-    "num_envs": 8,
-    "rollout_steps": 4,
+    "env.num_envs": 8,
+    "ppo.rollout_steps": 4,
     "total_frames": 6 * 32,
-    "num_threads": 1,
-    "torch_threads": 1,
-    "minibatches": 2,
-    "smoothness_coeff": 0.0,
+    "compute.num_threads": 1,
+    "compute.torch_threads": 1,
+    "ppo.minibatches": 2,
+    "ppo.smoothness_coeff": 0.0,
 }
 CARTS = {"make_env": make_cart, "make_networks": make_cart_networks}
 
@@ -82,7 +82,7 @@ def test_a_run_of_own_parts_goes_on_bit_for_bit_with_the_same_arguments(tmp_path
 
 def test_hooks_are_called_in_order_and_change_what_is_learned_from(tmp_path):
     recorder, plain = Recorder(), []
-    settings = {**SMALL, "total_frames": 32, "epochs": 1, "minibatches": 1}
+    settings = {**SMALL, "total_frames": 32, "ppo.epochs": 1, "ppo.minibatches": 1}
     config, seen = make_config(settings), []
     Trainer(config, tmp_path / "plain", **CARTS).train(plain.append)
     Trainer(config, tmp_path / "run", **CARTS, callbacks=[recorder]).train(seen.append)
@@ -197,7 +197,7 @@ def test_a_run_of_own_parts_is_loaded_with_them_and_nothing_less(tmp_path, capsy
 
 def test_other_processes_make_the_env_too(tmp_path):
     recorder = Recorder()
-    config = make_config({**SMALL, "collector": "process", "workers": 2, "total_frames": 2 * 32})
+    config = make_config({**SMALL, "compute.collector": "process", "compute.workers": 2, "total_frames": 2 * 32})
     trainer = Trainer(config, tmp_path, **CARTS, make_loss=DoubledLoss, callbacks=[recorder])
     trainer.train()
     assert (trainer.iteration, recorder.count) == (2, 2)
@@ -248,7 +248,7 @@ def test_a_task_that_lacks_what_a_setting_reads_is_named(tmp_path, monkeypatch, 
 
     monkeypatch.setitem(TASKS._entries, "riding_less", less)
     with pytest.raises(ConfigError, match=message):
-        Trainer(make_config({**SMALL, "num_threads": 1, "task": "riding_less"}), tmp_path / "run")
+        Trainer(make_config({**SMALL, "compute.num_threads": 1, "task.name": "riding_less"}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -269,7 +269,11 @@ def scheduled_cart(**arguments):
             {},
             r"of batch size \(3,\); it must be \(num_envs,\) = \(8,\)",
         ),
-        ({"make_env": lambda **_: None}, {"collector": "process"}, "cannot be pickled .* collector='process' sends it"),
+        (
+            {"make_env": lambda **_: None},
+            {"compute.collector": "process"},
+            "cannot be pickled .* collector='process' sends it",
+        ),
         ({"state": {"members": [{}]}}, {}, "was trained by several learners, which are gone; begin a new run with"),
         ({"make_env": make_cart}, {}, "networks do not fit the env of tests.training.cart.make_cart .* make_networks="),
         ({**CARTS, "make_networks": lambda env: nn.Linear(1, 1)}, {}, "Linear, which lacks rollout_policy, .*docs/own"),

@@ -29,7 +29,7 @@ def interrupt_after(iteration):
     ],
 )
 def test_resumed_equals_uninterrupted_bit_for_bit(tmp_path, task, act_source, other):
-    small = {**SMALL, "task": task, "act_source": act_source}
+    small = {**SMALL, "task.name": task, "roa.act_source": act_source}
     config = make_config(small)
     start = other and tmp_path / other
     if start is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,13 +19,13 @@ from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
 from torchrl_atr.training.run_files import DUMPS
 
 TINY = {
-    "num_envs": 4,
-    "rollout_steps": 4,
+    "env.num_envs": 4,
+    "ppo.rollout_steps": 4,
     "total_frames": 32,
-    "num_threads": 1,
-    "torch_threads": 1,
-    "minibatches": 1,
-    "critic_cells": [8],
+    "compute.num_threads": 1,
+    "compute.torch_threads": 1,
+    "ppo.minibatches": 1,
+    "ppo.critic_cells": [8],
 }
 GRID = ["--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
 
@@ -34,7 +35,7 @@ def trained(tmp_path_factory) -> Path:
     """A folder with a run of a robot whose files are elsewhere, and one dump of it; only to be copied."""
     folder = tmp_path_factory.mktemp("trained")
     toml = write_robot(folder / "source")
-    trainer = Trainer(make_config({**TINY, "robot": str(toml)}), folder / "run")
+    trainer = Trainer(make_config({**TINY, "task.robot": str(toml)}), folder / "run")
     trainer.train()
     env = trainer.env
     env.rollout(3)
@@ -63,8 +64,8 @@ def test_it_holds_the_files_and_names_them_relative_to_itself(trained):
     run = trained / "run"
     names = {file.name for file in (run / "model").rglob("*") if file.is_file()}
     assert names == {"mine.toml", "mine.xml", "more.xml", "a.stl", "t.png"}
-    for settings in (load_checkpoint(run)["config"], json.loads((run / "config.json").read_text())):
-        assert settings["robot"] == "model/robot/mine.toml"
+    for settings in (load_checkpoint(run)["config"], tomllib.loads((run / "config.toml").read_text())):
+        assert settings["task"]["robot"] == "model/robot/mine.toml"
     origin = json.loads((run / "run.json").read_text())
     assert origin["command"].startswith("torchrl-atr train --robot model/robot/mine.toml")
     assert len(origin["model"]) == 64
@@ -90,7 +91,7 @@ def test_it_goes_on_and_others_begin_from_it(trained, moved, tmp_path, capsys):
     begun = tmp_path / "begun"
     assert main(["train", "--from", str(moved), "--output", str(begun)]) == 0
     states = [load_checkpoint(folder) for folder in (trained / "run", moved, begun)]
-    assert [state["config"]["robot"] for state in states] == ["model/robot/mine.toml"] * 3
+    assert [state["config"]["task"]["robot"] for state in states] == ["model/robot/mine.toml"] * 3
     assert differences(states[0]["model"], states[1]["model"]) == []
     assert differences(states[0]["model"], states[2]["model"]) == []
     shutil.rmtree(moved)  # it needs the other no more
@@ -105,8 +106,8 @@ def test_its_dumps_are_replayed(moved):
 
 def test_its_settings_are_read_from_its_folder(moved, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert make_config(read_config(moved / "config.json")).robot == str(moved / "model" / "robot" / "mine.toml")
-    again = ["train", "--config", str(moved / "config.json"), "--output", str(moved), "--overwrite"]
+    assert make_config(read_config(moved / "config.toml")).task.robot == str(moved / "model" / "robot" / "mine.toml")
+    again = ["train", "--config", str(moved / "config.toml"), "--output", str(moved), "--overwrite"]
     assert main(again) == 0  # the files that it is made of lie in what it overwrites
     assert load_run(moved, num_envs=1)[1].base_env.scene.robot.name == "mine"
 
@@ -133,7 +134,7 @@ def test_training_with_files_is_training_without(tmp_path):
     ends = []
     for robot in ("go1", str(tmp_path / "go1.toml")):
         run = tmp_path / f"run{len(ends)}"
-        Trainer(make_config({**TINY, "robot": robot}), run).train()
+        Trainer(make_config({**TINY, "task.robot": robot}), run).train()
         ends.append(load_checkpoint(run)["learner"]["networks"])
     for name, value in ends[0].items():
         assert torch.equal(value, ends[1][name]), name
@@ -144,7 +145,7 @@ def test_a_transporter_of_ones_own_is_kept_too(tmp_path, capsys):
     deck = tmp_path / "source" / "wide.toml"
     deck.parent.mkdir()
     deck.write_text('name = "wide"\ndesign = "two_board"\nsize = [0.9, 0.9, 0.05]\nmass = 14.0\n')
-    trainer = Trainer(make_config({**TINY, "transporter": str(deck)}), tmp_path / "run")
+    trainer = Trainer(make_config({**TINY, "task.transporter": str(deck)}), tmp_path / "run")
     trainer.train()
     trainer.env.rollout(2)
     trainer.env.base_env._recorder.dump(0, "a test")

@@ -11,7 +11,14 @@ from torchrl_atr.cli import main
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.training import CheckpointError, Trainer, load_checkpoint, make_config
 
-TINY = {"num_envs": 8, "rollout_steps": 8, "total_frames": 64, "num_threads": 1, "gamma": 0.9, "max_speed": 3.0}
+TINY = {
+    "env.num_envs": 8,
+    "ppo.rollout_steps": 8,
+    "total_frames": 64,
+    "compute.num_threads": 1,
+    "ppo.gamma": 0.9,
+    "curriculum.max_speed": 3.0,
+}
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +30,7 @@ def parent(tmp_path_factory):
 
 def test_a_run_begins_with_anothers_deployed_networks_and_command_grid(parent, tmp_path):
     learned = load_checkpoint(parent)
-    trainer = Trainer(make_config({**TINY, "max_speed": 15.0, "seed": 7}), tmp_path / "run", start=parent)
+    trainer = Trainer(make_config({**TINY, "curriculum.max_speed": 15.0, "seed": 7}), tmp_path / "run", start=parent)
     for name, value in trainer.learner.networks.state_dict().items():
         assert torch.equal(value, learned["learner"]["deployed"][name]), name
     narrow, wide = CommandGrid(bounds=(3.0, 2.0)), trainer.curriculum
@@ -34,7 +41,7 @@ def test_a_run_begins_with_anothers_deployed_networks_and_command_grid(parent, t
 
 def test_optimisers_go_on_where_the_other_run_ended_with_settings_of_their_own(parent, tmp_path):
     before = load_checkpoint(parent)["learner"]["optimizers"]
-    config = make_config({**TINY, "critic_learning_rate": 2e-4, "learning_rate": 1e-3})
+    config = make_config({**TINY, "ppo.critic_learning_rate": 2e-4, "ppo.learning_rate": 1e-3})
     learner = Trainer(config, tmp_path / "run", start=parent).learner
     for name, optimizer in learner.optimizers.items():
         moments = optimizer.state_dict()["state"]
@@ -46,7 +53,7 @@ def test_optimisers_go_on_where_the_other_run_ended_with_settings_of_their_own(p
     assert learner.optimizers["critic"].param_groups[0]["lr"] == 2e-4
     learner.schedule.step(torch.tensor(1e9))
     assert learner.optimizers["policy"].param_groups[0]["lr"] < rate  # the schedule's own, not a copy
-    slower = make_config({**TINY, "learning_rate": rate / 2})
+    slower = make_config({**TINY, "ppo.learning_rate": rate / 2})
     begun = Trainer(slower, tmp_path / "slower", start=parent).learner
     assert begun.schedule.get_last_lr() == [pytest.approx(rate / 2)]
 
@@ -66,12 +73,13 @@ def test_moments_of_other_parameters_are_refused_by_name(parent, tmp_path):
 
 def test_the_command_line_keeps_the_settings_and_says_where_the_run_comes_from(parent, tmp_path):
     run = tmp_path / "run"
-    assert main(["train", "--from", str(parent), "--output", str(run), "--set", "final_std=0.05"]) == 0
+    assert main(["train", "--from", str(parent), "--output", str(run), "--exploration.final-std", "0.05"]) == 0
     assert main(["train", "--resume", str(run), "--total-frames", "128"]) == 0
     state, origin = load_checkpoint(run), json.loads((run / "run.json").read_text())
     assert (state["config"]["gamma"], state["config"]["final_std"]) == (0.9, 0.05)
     assert (
-        origin["command"] == f"torchrl-atr train --from {parent} --seed 0 --set total_frames=128 --set final_std=0.05"
+        origin["command"]
+        == f"torchrl-atr train --from {parent} --seed 0 --total-frames 128 --exploration.final-std 0.05"
     )
     assert origin["from"] == {"run": str(parent), **load_checkpoint(parent)["provenance"]}
     assert state["provenance"] == origin

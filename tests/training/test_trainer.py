@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import json
+import tomllib
 
 import pytest
 import torch
@@ -13,7 +13,14 @@ from torchrl_atr.modules import OnDevice, available_estimators, register_estimat
 from torchrl_atr.modules.estimators import get_estimator
 from torchrl_atr.training import Trainer, collection, load_checkpoint, load_run, make_config
 
-TINY = {"num_envs": 8, "rollout_steps": 8, "total_frames": 3 * 64, "num_threads": 1, "minibatches": 2, "epochs": 2}
+TINY = {
+    "env.num_envs": 8,
+    "ppo.rollout_steps": 8,
+    "total_frames": 3 * 64,
+    "compute.num_threads": 1,
+    "ppo.minibatches": 2,
+    "ppo.epochs": 2,
+}
 TINY["torch_threads"] = 1  # what is compared bit for bit must not depend on who else works here
 
 
@@ -27,8 +34,8 @@ def run(tmp_path_factory):
 
 def test_the_folder_is_readable(run):
     folder, metrics = run
-    assert {"config.json", "checkpoint.pt", "progress.csv", "tensorboard"} <= {f.name for f in folder.iterdir()}
-    assert json.loads((folder / "config.json").read_text())["num_envs"] == 8
+    assert {"config.toml", "checkpoint.pt", "progress.csv", "tensorboard"} <= {f.name for f in folder.iterdir()}
+    assert tomllib.loads((folder / "config.toml").read_text())["env"]["num_envs"] == 8
     with (folder / "progress.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [int(float(row["frames"])) for row in rows] == [64, 128, 192]
@@ -81,7 +88,7 @@ def test_a_run_goes_on_here_wherever_its_policy_was(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("source", ["privileged", "estimated", "mixed"])
 def test_the_first_importance_ratio_is_one(tmp_path, source):
-    config = make_config({**TINY, "act_source": source, "total_frames": 64, "epochs": 1, "minibatches": 1})
+    config = make_config({**TINY, "roa.act_source": source, "total_frames": 64, "ppo.epochs": 1, "ppo.minibatches": 1})
     metrics = []
     Trainer(config, tmp_path / source).train(metrics.append)
     assert abs(metrics[0]["mean_ratio"] - 1) < 1e-4
@@ -89,7 +96,7 @@ def test_the_first_importance_ratio_is_one(tmp_path, source):
 
 
 def test_a_critic_without_privileges_trains_and_is_restored(tmp_path):
-    config = make_config({**TINY, "privileged_critic": False, "total_frames": 64})
+    config = make_config({**TINY, "ppo.privileged_critic": False, "total_frames": 64})
     metrics = []
     Trainer(config, tmp_path / "run").train(metrics.append)
     assert metrics[0]["loss_critic"] > 0
@@ -101,7 +108,7 @@ def test_an_estimator_from_outside_trains(tmp_path):
     if "outsider" not in available_estimators():
         mlp = get_estimator("mlp")
         register_estimator("outsider", lambda history_shape, out_features: mlp(history_shape, out_features))
-    trainer = Trainer(make_config({**TINY, "estimator": "outsider", "total_frames": 64}), tmp_path / "run")
+    trainer = Trainer(make_config({**TINY, "estimator.name": "outsider", "total_frames": 64}), tmp_path / "run")
     before = [p.clone() for p in trainer.learner.networks.estimator_parameters()]
     trainer.train()
     assert any(not torch.equal(a, b) for a, b in zip(before, trainer.learner.networks.estimator_parameters()))

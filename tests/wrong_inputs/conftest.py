@@ -10,7 +10,14 @@ import pytest
 from torchrl_atr.cli import main
 from torchrl_atr.training import Trainer, make_config
 
-TINY = {"num_envs": 2, "rollout_steps": 2, "total_frames": 8, "num_threads": 1, "minibatches": 1, "critic_cells": [8]}
+TINY = {
+    "env.num_envs": 2,
+    "ppo.rollout_steps": 2,
+    "total_frames": 8,
+    "compute.num_threads": 1,
+    "ppo.minibatches": 1,
+    "ppo.critic_cells": [8],
+}
 _LONGEST = 3 * 160
 """Characters of a message: three lines of a wide terminal."""
 
@@ -61,5 +68,5 @@ def untouched_run(tmp_path_factory) -> Path:
 @pytest.fixture
 def tiny() -> list[str]:
     """Options of a run that lasts two iterations."""
-    values = {**TINY, "critic_cells": "8"}
-    return [part for name, value in values.items() for part in ("--set", f"{name}={value}")]
+    values = {**TINY, "ppo.critic_cells": "8"}
+    return [part for name, value in values.items() for part in (f"--{name}", str(value))]

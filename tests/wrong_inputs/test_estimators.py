@@ -14,12 +14,12 @@ from torchrl_atr.modules.estimators import _ESTIMATORS
 from torchrl_atr.training import CheckpointError, Trainer, load_run, make_config
 
 SETTINGS = {
-    "num_envs": 2,
-    "rollout_steps": 2,
+    "env.num_envs": 2,
+    "ppo.rollout_steps": 2,
     "total_frames": 8,
-    "num_threads": 1,
-    "minibatches": 1,
-    "critic_cells": [8],
+    "compute.num_threads": 1,
+    "ppo.minibatches": 1,
+    "ppo.critic_cells": [8],
 }
 
 
@@ -205,7 +205,7 @@ class RemembersMore(Plain):
 def test_a_run_whose_estimator_changed_is_named(registered, refused, tmp_path, factory):
     registered(Plain)
     run = tmp_path / "run"
-    Trainer(make_config({**SETTINGS, "estimator": "mine"}), run).save()
+    Trainer(make_config({**SETTINGS, "estimator.name": "mine"}), run).save()
     registered(factory)
     with pytest.raises(CheckpointError, match=r"estimator") as caught:
         load_run(run, num_envs=1)

@@ -83,7 +83,7 @@ def test_a_read_only_folder_is_refused_before_the_evaluation(refused, tmp_path, 
 def test_a_read_only_run_folder_is_refused_before_the_training(refused, tmp_path, monkeypatch, tiny):
     monkeypatch.setattr("torchrl_atr._files.Path.touch", _failing(errno.EROFS, None))
     run = tmp_path / "run"
-    refused(["train", *tiny, "--output", run], f"{run / 'config.json'}: Read-only", "that you may write to")
+    refused(["train", *tiny, "--output", run], f"{run / 'config.toml'}: Read-only", "that you may write to")
 
 
 def test_a_full_disk_is_named_before_the_training(refused, tmp_path, monkeypatch, tiny):
@@ -96,7 +96,7 @@ def test_a_full_disk_is_named_before_the_training(refused, tmp_path, monkeypatch
 def test_a_disk_that_fills_up_leaves_the_last_checkpoint(refused, tmp_path, monkeypatch, tiny):
     monkeypatch.setattr(os, "fsync", _failing(errno.ENOSPC, os.fsync, calls=2))  # the first save, and an iteration's
     run = tmp_path / "run"
-    arguments = ["train", *tiny, "--set", "checkpoint_seconds=0", "--output", run]
+    arguments = ["train", *tiny, "--logging.checkpoint-seconds", "0", "--output", run]
     refused(arguments, f"{run / 'checkpoint.pt'}: No space left", "goes on from its last checkpoint with --resume")
     monkeypatch.undo()
     assert load_checkpoint(run)["frames"] == 4

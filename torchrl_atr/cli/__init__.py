@@ -41,12 +41,14 @@ def _run(argv: Sequence[str] | None, interrupt: Interrupt) -> int:
     from torchrl_atr.cli.commands import COMMANDS  # here, so that a signal is met as early as can be
     from torchrl_atr.cli.parser import build_parser, refuse
 
-    arguments, unknown = build_parser().parse_known_args(argv)
+    words = sys.argv[1:] if argv is None else list(argv)
+    arguments, unknown = build_parser().parse_known_args(words[:1] if words[:1] == ["train"] else words)
     if unknown:
         refuse(arguments, unknown[0])
     prepare_environment()
     try:
-        return COMMANDS[arguments.command](arguments) or 0
+        # of train every setting is an option, which tyro parses
+        return COMMANDS[arguments.command](words[1:] if arguments.command == "train" else arguments) or 0
     except (UserError, OSError, ImportError) as error:
         if interrupt.signal is not None:
             raise

@@ -12,62 +12,62 @@ from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, folder_for, say, whole
+from torchrl_atr._nested import merged
 from torchrl_atr._registry import import_modules
-from torchrl_atr.cli.parser import DEFAULT_RUN, PLACES, RESUMABLE, SETTINGS, option
 from torchrl_atr.cli.printing import StepCounter, replay_head, replay_line
-from torchrl_atr.cli.protocols import PROTOCOLS, check_options
-from torchrl_atr.listings import LISTINGS
+from torchrl_atr.cli.protocols import PROTOCOLS, fill_options
+from torchrl_atr.listings import LISTINGS, settings_page
 
 if TYPE_CHECKING:
+    from torchrl_atr.cli.train_options import TrainArguments
     from torchrl_atr.training import TrainConfig, Trainer
 
 
-def train(arguments: argparse.Namespace) -> int:
+def train(words: Sequence[str]) -> int:
     """``torchrl-atr train``; a run that a signal stopped ends as shells expect, with 128 and the signal's number."""
+    from torchrl_atr.cli.train_options import DEFAULT_RUN, parse_train
     from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
     from torchrl_atr.training.checkpoint import NAME
 
+    arguments = parse_train(words)
     if arguments.resume is not None:
         return _resume(arguments)
     output = arguments.output or DEFAULT_RUN
     if (output / NAME).exists() and not arguments.overwrite:
         raise ConfigError(f"{output} holds a run; give another --output, --resume {output}, or --overwrite")
-    values = read_config(arguments.config) if arguments.config else {}
-    values |= {name: getattr(arguments, name) for name in SETTINGS if getattr(arguments, name) is not None}
-    if arguments.start is None:
-        config, named = make_config(values, arguments.overrides), set()
-    else:
-        config = _config_from(arguments.start, values, arguments.overrides)
-        named = {*values, *(text.partition("=")[0].strip() for text in arguments.overrides or [])}
+    given = merged(read_config(arguments.config) if arguments.config else {}, arguments.given)
+    config, named = (make_config(given), set()) if arguments.start is None else _config_from(arguments.start, given)
     with folder_for(output):
         return _train(Trainer(config, output, start=arguments.start, replaced=named))
 
 
-def _config_from(run: Path, values: dict[str, Any], overrides: list[str] | None) -> TrainConfig:
-    """The settings of another run with those that are given in their place."""
+def _config_from(run: Path, given: dict[str, Any]) -> tuple[TrainConfig, set[str]]:
+    """Return another run's settings with those that are given in their place, and which of its model are given."""
     from torchrl_atr.training import ConfigError, load_checkpoint, make_config
     from torchrl_atr.training.restoring import saved_settings
 
-    settings = saved_settings(load_checkpoint(run), run, values.get("imports", ()))
-    config = make_config({**settings, **values, "imports": settings["imports"]}, overrides)
-    if config.profile != settings["profile"]:  # it would take the recipe of one and the physics of the other
-        raise ConfigError(f"--profile {config.profile}: --from {run} keeps that run's, {settings['profile']}")
-    return config
+    settings = saved_settings(load_checkpoint(run), run, given.get("imports", ()))
+    if (preset := given.get("preset", settings["preset"])) != settings["preset"]:  # all of whose settings are taken
+        raise ConfigError(f"--preset {preset}: --from {run} keeps that run's, {settings['preset']}; leave it out")
+    return make_config(settings, given, {"imports": settings["imports"]}), set(given.get("task", ()))
 
 
-def _resume(arguments: argparse.Namespace) -> int:
+def _resume(arguments: TrainArguments) -> int:
+    from torchrl_atr.cli.train_options import RESUMABLE, option
     from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, run_config
 
-    given = [name for name in (*SETTINGS, *PLACES) if getattr(arguments, name) is not None]
-    fixed = [name for name in given if name not in RESUMABLE]
+    run, given = arguments.resume, arguments.given
+    assert run is not None
+    places = [name for name in ("config", "output", "overwrite", "start") if getattr(arguments, name)]
+    fixed = [name for name in (*given, *places) if name not in RESUMABLE]
     if fixed:
         names, allowed = (", ".join(map(option, group)) for group in (fixed, RESUMABLE))
         raise ConfigError(f"{names}: a resumed run keeps its settings, {allowed} excepted; leave it out")
-    state = load_checkpoint(arguments.resume)
-    changed = {name: getattr(arguments, name) for name in given}
-    trainer = Trainer(run_config(state, arguments.resume, **changed), arguments.resume, state)
+    state = load_checkpoint(run)
+    changed = {path: value for path, value in given.items() if path != "imports"}
+    trainer = Trainer(run_config(state, run, given.get("imports", ()), changed), run, state)
     if trainer.finished:
-        say(f"{arguments.resume} has ended; to go on, give a larger --total-frames or --max-minutes")
+        say(f"{run} has ended; to go on, give a larger --total-frames or --max-minutes")
         return 0
     return _train(trainer)
 
@@ -91,7 +91,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.evaluation import figures
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
-    check_options(arguments)
+    fill_options(arguments)
     output = _report_folder(arguments)
     other = _other_model(arguments)
     imports = arguments.imports or ()
@@ -105,15 +105,19 @@ def evaluate(arguments: argparse.Namespace) -> None:
                 counter(done, total)
 
             chosen = {**DEPLOYED, **other, "randomization": arguments.randomization}
-            measured = PROTOCOLS[arguments.protocol](
+            if arguments.sensors is not None:
+                chosen["sensors"] = arguments.sensors
+            measured = PROTOCOLS[arguments.protocol].measure(
                 arguments, config, networks, partial(make_env, config, **chosen), progress
             )
         metrics = measured.metrics
         metrics["evaluation"] = {
             "robot": env.base_env.scene.robot.name,
             "transporter": env.base_env.scene.support.name,
+            "protocol": arguments.protocol,
             "seed": arguments.seed,
             "randomization": arguments.randomization,
+            "sensors": arguments.sensors or config.task.sensors,
             "checkpoint": arguments.checkpoint,
             "act_source": arguments.act_source,
         }
@@ -144,11 +148,10 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     """Where the report goes: a run's own is of the robot and transporter that it was trained on."""
     from torchrl_atr.training import ConfigError
 
-    run = arguments.run
-    own = run if arguments.protocol == "tracking" else run / arguments.protocol  # each has a metrics.json
+    own = arguments.run if arguments.protocol == "tracking" else arguments.run / arguments.protocol
     output = arguments.output or own
     for name, value in _other_model(arguments).items():
-        if output.resolve() in (run.resolve(), own.resolve()):
+        if output.resolve() in (arguments.run.resolve(), own.resolve()):
             raise ConfigError(
                 f"--{name} {value}: the report in {output} is of the {name} that it was trained on; give "
                 "another folder with --output"
@@ -174,9 +177,10 @@ def play(arguments: argparse.Namespace) -> None:
 def _imports_of(dump: Path) -> Sequence[str]:
     """The modules that a dump's run remembers; none if the dump is not in a run's folder."""
     from torchrl_atr.training import ConfigError, read_config
+    from torchrl_atr.training.run_files import CONFIG
 
     try:
-        return read_config(dump.resolve().parents[1] / "config.json").get("imports", ())
+        return read_config(dump.resolve().parents[1] / CONFIG).get("imports", ())
     except (ConfigError, IndexError):
         return ()
 
@@ -224,7 +228,9 @@ def bench(arguments: argparse.Namespace) -> None:
 def show_list(arguments: argparse.Namespace) -> None:
     """``torchrl-atr list``."""
     import_modules(arguments.imports or ())
-    say("\n".join(LISTINGS[arguments.what]()))
+    if arguments.markdown and arguments.what != "settings":
+        raise UserError(f"--markdown is for settings, not for {arguments.what}; leave it out")
+    say("\n".join(settings_page() if arguments.markdown else LISTINGS[arguments.what]()))
 
 
 COMMANDS: dict[str, Any] = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -14,28 +13,9 @@ from torchrl_atr.cli.protocols import PROTOCOLS
 from torchrl_atr.listings import LISTINGS
 
 _PROTOCOL_HELP = (
-    "tracking: 10 s of every command of a grid; endurance: minutes of random commands, one after the other, and pushes"
+    "tracking: 10 s of every command of a grid; paper: the same over the paper's commands, ±15 m/s × ±2 rad/s, in the "
+    "test range; endurance: minutes of random commands, one after the other, and pushes"
 )
-DEFAULT_RUN = Path("runs/latest")
-SETTINGS = (
-    "task",
-    "robot",
-    "transporter",
-    "profile",
-    "estimator",
-    "imports",
-    "num_envs",
-    "total_frames",
-    "max_minutes",
-    "seed",
-    "device",
-    "collector",
-    "workers",
-)
-"""Settings that have an option of their own."""
-PLACES = ("config", "overrides", "output", "overwrite", "start")
-"""What else ``train`` takes."""
-RESUMABLE = ("total_frames", "max_minutes", "device", "imports")
 
 
 def _path(text: str) -> Path:
@@ -71,10 +51,8 @@ _seed = _number(int, 0, 2**31 - 1)
 
 
 def option(name: str) -> str:
-    """What the command line calls a setting."""
-    return {"imports": "--import", "overrides": "--set", "start": "--from", "pushes": "--no-pushes"}.get(
-        name, f"--{name.replace('_', '-')}"
-    )
+    """Return what the command line calls an option of ``evaluate``."""
+    return {"pushes": "--no-pushes"}.get(name, f"--{name.replace('_', '-')}")
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -84,7 +62,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"torchrl-atr {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
-    _add_train(commands.add_parser("train", help="train a policy; go on from a run with --resume"))
+    commands.add_parser("train", help="train a policy; go on from a run with --resume", add_help=False)
     _add_evaluate(commands.add_parser("evaluate", help="measure how the deployed policy tracks commands, or lasts"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
@@ -101,38 +79,11 @@ def build_parser() -> argparse.ArgumentParser:
     _add_import(model)
     listing = commands.add_parser("list", help="list what is registered")
     listing.add_argument("what", choices=sorted(LISTINGS))
+    listing.add_argument("--markdown", action="store_true", help="of settings: the page docs/settings.md")
     _add_import(listing)
     for command in commands.choices.values():
         command.set_defaults(parser=command)
     return parser
-
-
-def _add_train(parser: argparse.ArgumentParser) -> None:
-    # names match TrainConfig's fields, which convert and check; None means "as the config file or the default says"
-    parser.add_argument("--task", help="riding (the default), walking, or one of your own")
-    parser.add_argument("--robot", help="a name, or a .toml file that describes one of your own")
-    parser.add_argument("--transporter", help="of riding: a name, or a .toml file that describes one of your own")
-    parser.add_argument("--profile", help="how the paper's open points are read")
-    parser.add_argument("--estimator", help="a registered estimator")
-    _add_import(parser)
-    parser.add_argument("--num-envs", metavar="N")
-    parser.add_argument("--total-frames", metavar="N", help="robot steps, absolute")
-    parser.add_argument("--max-minutes", metavar="MINUTES", help="wall clock, earlier sessions of the run included")
-    parser.add_argument("--seed", metavar="N")
-    parser.add_argument("--device", help="cpu or cuda")
-    parser.add_argument("--collector", help="where robots are simulated: direct, process, ray or distributed")
-    parser.add_argument("--workers", metavar="N", help="processes that share robots and CPUs, unless direct")
-    parser.add_argument("--config", type=_path, metavar="FILE", help=".toml or .json with any setting")
-    parser.add_argument(
-        "--set", dest="overrides", action="append", metavar="KEY=VALUE", help="any setting: `list settings`"
-    )
-    parser.add_argument("--output", type=_path, metavar="RUN", help=f"the run folder; default: {DEFAULT_RUN}")
-    parser.add_argument("--overwrite", action="store_const", const=True, help="replace a run in that folder")
-    parser.add_argument("--resume", type=_run, metavar="RUN", help="go on with this run as if it had not stopped")
-    begin_text = (
-        "begin a new run with this one's networks, optimisers, command grid and settings, those given here excepted"
-    )
-    parser.add_argument("--from", dest="start", type=_run, metavar="RUN", help=begin_text)
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:
@@ -150,21 +101,23 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", type=_path, help=output_text)
     parser.add_argument("--robot", help="measure another one than it was trained with; needs --output")
     parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
-    parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
+    parser.add_argument("--randomization", choices=("train", "test", "off"), help="default: train; of paper: test")
     parser.add_argument(
-        "--max-speed", type=_number(float, 0, 100), help="m/s; default: 2, or the task's if that is less"
+        "--max-speed", type=_number(float, 0, 100), help="m/s; default: 2, or the task's if less; of paper: 15"
     )
-    parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), help="rad/s; default: 1")
+    parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), help="rad/s; default: 1; of paper: 2")
+    parser.add_argument("--sensors", help="a set of sensor errors, ideal or realistic; default: the run's")
     source_text = (
         "estimated: what a robot has; privileged: the truth, to tell errors of estimates from those of control"
     )
     parser.add_argument("--act-source", choices=("estimated", "privileged"), default="estimated", help=source_text)
-    tracking = parser.add_argument_group("--protocol tracking")
-    tracking.add_argument(
-        "--speed-step", type=_number(float, 0.001, 100), help="m/s; divides the range; default: 1, or 0.5"
-    )
-    tracking.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), help="rad/s; likewise; default: 0.25")
-    tracking.add_argument("--robots-per-command", type=_number(int, 1, 100_000), metavar="N", help="default: 8")
+    grid = parser.add_argument_group("--protocol tracking and paper")
+    step_text = "m/s; divides the range; default: 1, or 0.5; of paper: 0.1"
+    grid.add_argument("--speed-step", type=_number(float, 0.001, 100), help=step_text)
+    step_text = "rad/s; likewise; default: 0.25; of paper: 0.1"
+    grid.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), help=step_text)
+    robots_text = "default: 8; of paper: 1"
+    grid.add_argument("--robots-per-command", type=_number(int, 1, 100_000), metavar="N", help=robots_text)
     endurance = parser.add_argument_group("--protocol endurance")
     endurance.add_argument("--robots", type=_number(int, 1, 100_000), metavar="N", help="default: 200")
     endurance.add_argument("--seconds", type=_number(float, 1, 86400), help="of a ride; default: 60")
@@ -194,15 +147,9 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
 
 
 def refuse(arguments: argparse.Namespace, text: str) -> None:
-    """Exits with code 2 for an argument that the command does not have; a setting may go by ``--set``."""
+    """Exit with code 2 for an argument that the command does not have."""
     name = text.partition("=")[0].lstrip("-")
     options = re.findall(r"--[a-z-]+", arguments.parser.format_usage())
     similar = nearest(name, (option.removeprefix("--") for option in options), otherwise="")  # dashes say nothing
     hint = similar.replace("'", "'--", 1) or f"see torchrl-atr {arguments.command} --help"
-    if arguments.command == "train" and f"--{name}" not in options:
-        from torchrl_atr.training import TrainConfig
-
-        setting = name.replace("-", "_")
-        if setting in (field.name for field in dataclasses.fields(TrainConfig)):
-            hint = f"write it as --set {setting}=VALUE"
     arguments.parser.error(f"unknown argument {text!r}; {hint}")

@@ -15,35 +15,47 @@ if TYPE_CHECKING:
     from torchrl_atr.modules import RidingNetworks
     from torchrl_atr.training import TrainConfig
 
-ONLY = {
-    "tracking": ("speed_step", "yaw_rate_step", "robots_per_command"),
-    "endurance": ("seconds", "command_seconds", "pushes", "robots"),
-}
-"""Options that one protocol alone has; None where they are not given."""
 Progress = Callable[[int, int], None]
 
 
 class Measured(NamedTuple):
-    """What a protocol measured: the metrics, what writes the report into a folder, and the lines to print."""
+    """The outcome of a protocol: the metrics, what writes the report into a folder, and the lines to print."""
 
     metrics: dict[str, Any]
     write: Callable[[Path], Any]
     lines: list[str]
 
 
-def check_options(arguments: argparse.Namespace) -> None:
-    """Refuse options of another protocol than the chosen one.
+class Protocol(NamedTuple):
+    """A way to measure.
+
+    Attributes:
+        measure: does it.
+        options: those that it has, by name, with the values that they take if they are not given; None for what depends
+            on the task.
+    """
+
+    measure: Callable[..., Measured]
+    options: dict[str, Any]
+
+
+def fill_options(arguments: argparse.Namespace) -> None:
+    """Give the options of the chosen protocol that are not given their values, and refuse those of others.
 
     Raises:
-        ConfigError: names them.
+        ConfigError: names the options that the protocol does not have.
     """
     from torchrl_atr.cli.parser import option
     from torchrl_atr.training import ConfigError
 
-    for protocol, names in ONLY.items():
-        given = [option(name) for name in names if getattr(arguments, name) is not None]
-        if given and protocol != arguments.protocol:
+    own = PROTOCOLS[arguments.protocol].options
+    for protocol, other in PROTOCOLS.items():
+        given = [option(name) for name in other.options if name not in own and getattr(arguments, name) is not None]
+        if given:
             raise ConfigError(f"{', '.join(given)}: only of --protocol {protocol}; leave it out, or take that protocol")
+    for name, value in own.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, value)
 
 
 def tracking(
@@ -60,7 +72,7 @@ def tracking(
         networks.rollout_policy(arguments.act_source),
         make_env,
         _grid(arguments, config.make_task().command.grid),
-        robots_per_command=arguments.robots_per_command or 8,
+        robots_per_command=arguments.robots_per_command,
         seed=arguments.seed,
         encoder_module=networks.encoder_module,
         progress=progress,
@@ -79,16 +91,19 @@ def endurance(
 ) -> Measured:
     """Measure how long robots stay up under changing commands and pushes, and how well they track meanwhile."""
     from torchrl_atr.evaluation import endurance_metrics, evaluate_endurance, write_endurance
+    from torchrl_atr.evaluation.endurance import OVERSPEED
 
-    given = {name: getattr(arguments, name) for name in ("robots", "seconds", "command_seconds")}
+    overspeed = (margin[0], margin[1]) if (margin := config.env.overspeed_margin) else OVERSPEED
     result = evaluate_endurance(
         networks.rollout_policy(arguments.act_source),
-        partial(make_env, pushes=arguments.pushes is not False),
-        **{name: value for name, value in given.items() if value is not None},
+        partial(make_env, pushes=arguments.pushes),
+        robots=arguments.robots,
+        seconds=arguments.seconds,
+        command_seconds=arguments.command_seconds,
         max_speed=arguments.max_speed,
         max_yaw_rate=arguments.max_yaw_rate,
         seed=arguments.seed,
-        overspeed=(config.runaway_speed, config.runaway_yaw_rate),
+        overspeed=overspeed,
         encoder_module=networks.encoder_module,
         progress=progress,
     )
@@ -102,11 +117,40 @@ def _grid(arguments: argparse.Namespace, grid: CommandGrid | None) -> tuple[Any,
 
     largest = 2.0 if grid is None else min(2.0, grid.bounds[0])
     speed = largest if arguments.max_speed is None else arguments.max_speed
-    yaw_rate = 1.0 if arguments.max_yaw_rate is None else arguments.max_yaw_rate
     step = (1.0 if float(speed).is_integer() else 0.5) if arguments.speed_step is None else arguments.speed_step
-    speeds, yaw_rates = command_grid(speed, yaw_rate, step, arguments.yaw_rate_step or 0.25)
+    speeds, yaw_rates = command_grid(speed, arguments.max_yaw_rate, step, arguments.yaw_rate_step)
     return (speeds[speeds >= 0] if grid is not None and grid.forward_only else speeds), yaw_rates
 
 
-PROTOCOLS: dict[str, Callable[..., Measured]] = {"tracking": tracking, "endurance": endurance}
-"""By the name that ``--protocol`` takes."""
+_TRACKING = {
+    "randomization": "train",
+    "max_speed": None,
+    "max_yaw_rate": 1.0,
+    "speed_step": None,
+    "yaw_rate_step": 0.25,
+    "robots_per_command": 8,
+}
+_PAPER = {
+    "randomization": "test",
+    "max_speed": 15.0,
+    "max_yaw_rate": 2.0,
+    "speed_step": 0.1,
+    "yaw_rate_step": 0.1,
+    "robots_per_command": 1,
+}
+_ENDURANCE = {
+    "randomization": "train",
+    "max_speed": None,
+    "max_yaw_rate": None,
+    "robots": 200,
+    "seconds": 60.0,
+    "command_seconds": 5.0,
+    "pushes": True,
+}
+PROTOCOLS: dict[str, Protocol] = {
+    "tracking": Protocol(tracking, _TRACKING),
+    "paper": Protocol(tracking, _PAPER),
+    "endurance": Protocol(endurance, _ENDURANCE),
+}
+"""By the name that ``--protocol`` takes. ``paper`` is the paper's evaluation: one robot of the test range at each of
+12,341 commands, 10 s from rest."""

@@ -2,6 +2,7 @@
 
 from torchrl_atr.envs.env import QuadrupedEnv
 from torchrl_atr.envs.factory import make_env, make_riding_env
+from torchrl_atr.envs.interpretation import PROFILES, Interpretation, get_interpretation
 from torchrl_atr.envs.models import (
     ROBOTS,
     SINGLE_BOARD,
@@ -17,7 +18,6 @@ from torchrl_atr.envs.models import (
     read_transporter,
     register_robot,
 )
-from torchrl_atr.envs.profiles import PROFILES, Readings, get_readings
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardError, RewardTerm, Task, make_task, riding, walking
 
@@ -28,8 +28,8 @@ __all__ = [
     "SINGLE_BOARD",
     "TRANSPORTERS",
     "TWO_BOARD",
+    "Interpretation",
     "QuadrupedEnv",
-    "Readings",
     "RewardError",
     "RewardTerm",
     "RidingEnv",
@@ -38,7 +38,7 @@ __all__ = [
     "Task",
     "TransporterError",
     "TransporterSpec",
-    "get_readings",
+    "get_interpretation",
     "get_robot",
     "get_transporter",
     "make_env",

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from torchrl_atr.envs.env import QuadrupedEnv
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec
 from torchrl_atr.envs.physics import PhysicsEngine
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks import riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 
@@ -40,7 +40,7 @@ class RidingEnv(QuadrupedEnv):
         num_envs: int = 256,
         physics: PhysicsEngine = "batch",
         randomization: Randomization = "train",
-        profile: str | Readings = "default",
+        profile: str | Interpretation = "default",
         num_threads: int | None = None,
         failed_episode_replay: float = 0.0,
         seed: int | None = None,

@@ -13,7 +13,7 @@ import torch
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr._registry import UnknownNameError
-from torchrl_atr.envs import QuadrupedEnv, Readings, make_task
+from torchrl_atr.envs import Interpretation, QuadrupedEnv, make_task
 from torchrl_atr.envs.models.identity import describe, differences, first_few
 from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
 from torchrl_atr.envs.recorder import load_dump
@@ -81,7 +81,7 @@ def replay(path: str | Path, video: str | Path | None = None) -> Generator[Repla
 def _scene(dump: dict[str, Any], path: Path) -> QuadrupedEnv:
     scene = dump["scene"]
     try:
-        readings = Readings(**scene["readings"])
+        readings = Interpretation(**scene["readings"])
         if not isinstance(scene["model"], dict):
             raise TypeError("its model is not described")
     except TypeError as error:

@@ -32,6 +32,7 @@ def make_networks(
     estimator_kwargs: Mapping[str, Any] | None = None,
     estimator_inputs: Sequence[NestedKey] = (),
     latent_features: int = 16,
+    encoder_cells: Sequence[int] = (128, 64),
     actor_cells: Sequence[int] = (512, 256, 128),
     products: Sequence[tuple[int, int]] = (),
     output_map: Tensor | None = None,
@@ -54,6 +55,7 @@ def make_networks(
         estimator_inputs (sequence of NestedKey): entries that the extrinsic estimator reads beside the history, such as
             ``["dead_reckoned_velocity"]``. The deployed policy reads them too. Defaults to none.
         latent_features (int): size of z. Defaults to 16.
+        encoder_cells (sequence of int): hidden widths of the encoder.
         actor_cells (sequence of int): hidden widths of the actor.
         products (sequence of pairs of int): see :class:`~torchrl_atr.modules.ActorBackbone`.
         output_map (Tensor, optional): see :class:`~torchrl_atr.modules.ActorBackbone`.
@@ -90,7 +92,7 @@ def make_networks(
         ['history', 'observation', 'wind']
     """
     check_whole("latent_features", latent_features, low=1)
-    check_widths(actor_cells=actor_cells, critic_cells=critic_cells)
+    check_widths(actor_cells=actor_cells, critic_cells=critic_cells, encoder_cells=encoder_cells)
     check_flag("privileged_critic", privileged_critic)
     check_kind("estimator_kwargs", estimator_kwargs, Mapping, "a mapping of arguments", optional=True)
     check_kind("exploration", exploration, Exploration, "Exploration(actions, ...)", optional=True)
@@ -108,7 +110,7 @@ def make_networks(
         input_norms = _norms(observation_spec, "critic_inputs", critic_inputs, mirror)
         obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
         ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
-        encoder = IntrinsicEncoder(intrinsic, latent_features, reflection=mirror(keys.intrinsic))
+        encoder = IntrinsicEncoder(intrinsic, latent_features, encoder_cells, mirror(keys.intrinsic))
         nets = {name: make_estimator(history_shape=shape, out_features=out) for name, (shape, out) in sizes.items()}
         backbone = ActorBackbone(
             obs_norm, ext_norm, latent_features, actions, actor_cells, products, mirror(keys.action), output_map

@@ -11,20 +11,19 @@ from torchrl_atr.training.assembly import (
 )
 from torchrl_atr.training.callbacks import Callback, Phase
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
-from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.config_checks import ConfigError
-from torchrl_atr.training.config_io import make_config, read_config
+from torchrl_atr.training.config import ConfigError, TrainConfig, make_config, parse_settings, read_config
 from torchrl_atr.training.guard import TrainingDiverged
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.loading import load_run
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory
-from torchrl_atr.training.recipes import RECIPE_POINTS
+from torchrl_atr.training.presets import PRESETS, TASK_SETTINGS, additions
 from torchrl_atr.training.restoring import run_config
 from torchrl_atr.training.trainer import Trainer
 
 __all__ = [
     "DEPLOYED",
-    "RECIPE_POINTS",
+    "PRESETS",
+    "TASK_SETTINGS",
     "Callback",
     "CheckpointError",
     "ConfigError",
@@ -37,6 +36,7 @@ __all__ = [
     "TrainConfig",
     "Trainer",
     "TrainingDiverged",
+    "additions",
     "load_checkpoint",
     "load_run",
     "make_config",
@@ -45,6 +45,7 @@ __all__ = [
     "make_reward_schedule",
     "make_run_loss",
     "make_run_networks",
+    "parse_settings",
     "read_config",
     "run_config",
     "save_checkpoint",

@@ -25,12 +25,12 @@ from torchrl_atr.modules import Exploration, NetworkKeys, RidingNetworks, correl
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.sizes import estimator_sizes
 from torchrl_atr.objectives import ROAClipPPOLoss
-from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.config_checks import ConfigError
+from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.env_access import attribute
+from torchrl_atr.training.settings import ExplorationConfig
 
 TOGETHER = 10
-"""Time limits are looked at in every so many steps, a divisor of the default recipe's 250."""
+"""Time limits are looked at in every so many steps, a divisor of the default recipe's 1000."""
 LOADED: dict[str, Any] = {"compiled": False, "stagger": 0, "stored_once": False}
 """Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
 TASK_ONLY: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "pushes": False}
@@ -59,26 +59,26 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         ConfigError: for a robot or a transporter that the task does not have.
     """
     import_modules(config.imports)  # a config that was sent to another process was checked in the first alone
-    of_the_task = inspect.signature(TASKS.get(config.task)).parameters
+    of_the_task = inspect.signature(TASKS.get(config.task.name)).parameters
     task = {name: overrides.pop(name) for name in list(overrides) if name in of_the_task}
     for part in PARTS:
         if part in overrides:
-            raise ConfigError(f"{part}={overrides[part]!r}: the task {config.task!r} has no {part}; leave it out")
+            raise ConfigError(f"{part}={overrides[part]!r}: the task {config.task.name!r} has no {part}; leave it out")
     trained = config.grid
     arguments: dict[str, Any] = {
-        "num_envs": config.num_envs,
-        "num_threads": config.num_threads or None,
+        "num_envs": config.env.num_envs,
+        "num_threads": config.compute.num_threads or None,
         "seed": config.seed,
-        "compiled": config.compiled,
-        "failed_episode_replay": config.retry,
-        "history_length": config.history_length,
-        "max_steps": round(config.episode_seconds / CONTROL_DT),
-        "stagger": TOGETHER,
-        "window": round(config.command_seconds / CONTROL_DT),
-        "thresholds": (config.tracking_threshold,) * 2,
-        "score_from": round(config.score_from_seconds / CONTROL_DT),
+        "compiled": config.compute.compiled,
+        "failed_episode_replay": config.env.failed_episode_replay,
+        "history_length": config.env.history_length,
+        "max_steps": round(config.env.episode_seconds / CONTROL_DT),
+        "stagger": TOGETHER if config.env.staggered_starts else 0,
+        "window": round(config.curriculum.command_seconds / CONTROL_DT),
+        "thresholds": (config.curriculum.tracking_threshold,) * 2,
+        "score_from": round(config.curriculum.score_from_seconds / CONTROL_DT),
         "stored_once": True,
-        "runaway_margin": (config.runaway_speed, config.runaway_yaw_rate),
+        "runaway_margin": config.env.overspeed_margin or None,
         "grid": trained,
     }
     arguments |= {name: value for name, value in overrides.items() if name not in TASK_ONLY}
@@ -104,26 +104,39 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         EstimatorError: if it cannot be built.
         ConfigError: if a setting asks for an entry that the env does not have.
     """
-    basis, spec = leg_synergies(), env.observation_spec
-    alike, joints = len(basis) // 4, len(basis)
-    init_std = [config.init_std] * alike + [config.relative_std] * (joints - alike)
+    spec = env.observation_spec
     size = spec["observation"].shape[-1]  # the command ends o_t
+    exploration, output_map = _exploration(config.exploration, env.action_spec.shape[-1])
     critic_inputs: list[NestedKey] = []
-    if config.privileged_critic:
-        critic_inputs = _optional(config, "tracking_forecast", NetworkKeys.outlook, spec)
+    if config.ppo.privileged_critic:
+        critic_inputs = _optional("ppo.tracking_forecast", config.ppo.tracking_forecast, NetworkKeys.outlook, spec)
     return make_networks(
         spec,
         env.action_spec,
-        estimator=config.estimator,
+        estimator=config.estimator.name,
+        estimator_kwargs=config.estimator.arguments,
         estimator_inputs=_estimator_inputs(config, spec),
-        products=[(size - 2, size - 1)] if config.steering_cue else [],
-        output_map=_output_map(init_std, basis),
-        exploration=Exploration(joints, init_std, config.min_std, basis),
-        critic_cells=config.critic_cells,
-        privileged_critic=config.privileged_critic,
+        products=[(size - 2, size - 1)] if config.ppo.command_interaction else [],
+        latent_features=config.roa.latent_features,
+        encoder_cells=config.roa.encoder_cells,
+        output_map=output_map,
+        exploration=exploration,
+        actor_cells=config.ppo.actor_cells,
+        critic_cells=config.ppo.critic_cells,
+        privileged_critic=config.ppo.privileged_critic,
         critic_inputs=critic_inputs,
-        reflections=env.base_env.reflections if config.symmetric else None,
+        reflections=env.base_env.reflections if config.ppo.symmetric else None,
     )
+
+
+def _exploration(config: ExplorationConfig, actions: int) -> tuple[Exploration, Tensor | None]:
+    """Return the exploration, and what makes the actor's outputs move its directions."""
+    if not config.leg_patterns:
+        return Exploration(actions, config.init_std, config.min_std), None
+    basis = leg_synergies()
+    alike = len(basis) // 4
+    init_std = [config.init_std] * alike + [config.relative_std] * (len(basis) - alike)
+    return Exploration(len(basis), init_std, config.min_std, basis), _output_map(init_std, basis)
 
 
 def _output_map(init_std: Sequence[float], basis: Tensor) -> Tensor:
@@ -146,20 +159,22 @@ def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
     """
     spec = env.observation_spec
     sizes = estimator_sizes(spec, estimator_inputs=_estimator_inputs(config, spec))
-    check_registered(config.estimator, sizes.values())
+    check_registered(config.estimator.name, sizes.values(), **config.estimator.arguments)
 
 
 def _estimator_inputs(config: TrainConfig, spec: Composite) -> list[NestedKey]:
-    return _optional(config, "dead_reckoning", NetworkKeys.dead_reckoned_velocity, spec)
+    return _optional(
+        "estimator.dead_reckoning", config.estimator.dead_reckoning, NetworkKeys.dead_reckoned_velocity, spec
+    )
 
 
-def _optional(config: TrainConfig, setting: str, key: NestedKey, spec: Composite) -> list[NestedKey]:
+def _optional(setting: str, value: bool, key: NestedKey, spec: Composite) -> list[NestedKey]:
     """Return the entry that a setting makes a network read, if it does.
 
     Raises:
         ConfigError: if the env has no such entry.
     """
-    if not getattr(config, setting):
+    if not value:
         return []
     if key not in spec.keys(True, True):
         raise ConfigError(
@@ -186,11 +201,11 @@ def make_run_loss(
         >>> make_loss = partial(make_run_loss, TrainConfig(), loss_class=MyLoss)  # of a Trainer
     """
     arguments: dict[str, Any] = {
-        "roa_coeff": config.roa_coeff,
-        "smoothness_coeff": config.smoothness_coeff,
-        "extrinsic_scale": networks.ext_norm if config.normalize_targets else None,
-        "clip_epsilon": config.clip_epsilon,
-        "entropy_coeff": config.entropy_coeff,
+        "roa_coeff": config.roa.coeff,
+        "smoothness_coeff": config.ppo.smoothness_coeff,
+        "extrinsic_scale": networks.ext_norm if config.estimator.normalize_targets else None,
+        "clip_epsilon": config.ppo.clip_epsilon,
+        "entropy_coeff": config.ppo.entropy_coeff,
         "entropy_bonus": True,
         "critic_coeff": 1.0 / networks.critic.scale**2,
         "loss_critic_type": "l2",
@@ -198,7 +213,7 @@ def make_run_loss(
         "functional": False,
     }
     return loss_class(
-        networks.training_actor(config.act_source),
+        networks.training_actor(config.roa.act_source),
         networks.critic_module,
         networks.encoder_module,
         networks.intrinsic_estimator_module,
@@ -218,7 +233,7 @@ def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
 
 def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
     """Return the policy that a run collects with; it shares the networks."""
-    actor = networks.rollout_policy(config.act_source, config.student_fraction)
-    if config.compiles_networks and config.collector == "direct":  # what is compiled cannot be sent to workers
+    actor = networks.rollout_policy(config.roa.act_source)
+    if config.compiles_networks and config.compute.collector == "direct":  # what is compiled cannot be sent to workers
         compile_methods(actor.module[0], "forward")
-    return correlate(actor, config.noise_correlation)
+    return correlate(actor, config.exploration.noise_correlation)

@@ -28,7 +28,7 @@ from torchrl.checkpoint import GlobalRNGState
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
 
-VERSION = 3
+VERSION = 4
 """Of what a checkpoint holds and how it is named; whoever changes that adds a step to ``scripts/convert_run.py``."""
 NAME, PREVIOUS, BEST = "checkpoint.pt", "previous.pt", "best.pt"
 """The last checkpoint of a run, the one before, and the one with the largest episode reward."""

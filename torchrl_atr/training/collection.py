@@ -66,8 +66,8 @@ class Collection:
     ) -> None:
         self.config, self.env, self.policy = config, env, policy
         self.curriculum = curriculum_of(env)
-        self.remote = config.collector != "direct"
-        self.callable = config.collector in ("process", "ray")
+        self.remote = config.compute.collector != "direct"
+        self.callable = config.compute.collector in ("process", "ray")
         self._broken = False
         self._started = started
         self._others = set(multiprocessing.active_children())  # of whoever uses this
@@ -86,28 +86,28 @@ class Collection:
         common: dict[str, Any] = {
             "frames_per_batch": config.frames_per_batch,
             "exploration_type": ExplorationType.RANDOM,
-            "policy_device": config.device if self.remote else "cpu",
+            "policy_device": config.compute.device if self.remote else "cpu",
             "env_device": "cpu",
             "storing_device": "cpu",
         }
         if not self.remote:
             plain = {"track_traj_ids": False, "return_same_td": True, "trust_policy": True, **_PLAIN}
             return Collector(self.env, _for_cpu_data(self.policy, config), **plain, **common)
-        threads = config.threads_each(config.workers)
+        threads = config.threads_each(config.compute.workers)
         weights = None if self.curriculum is None else self.curriculum.weights.clone()
         makers = [
             partial(
                 _worker_env,
                 make_env,
                 weights,
-                num_envs=config.num_envs // config.workers,
+                num_envs=config.env.num_envs // config.compute.workers,
                 seed=(config.seed + SEED_STRIDE * (worker + 1) + _RESUME_STRIDE * self._started) % 2**31,
                 num_threads=threads,
             )
-            for worker in range(config.workers)
+            for worker in range(config.compute.workers)
         ]
         return Collector(
-            makers, self.policy, num_collectors=config.workers, sync=True, **common, **_engine(config, threads)
+            makers, self.policy, num_collectors=config.compute.workers, sync=True, **common, **_engine(config, threads)
         )
 
     def collect(self) -> TensorDictBase:
@@ -153,13 +153,13 @@ class Collection:
                 raise
             self._broken = True
             raise CollectionError(
-                f"collector={self.config.collector!r}: a worker {what} ({first_line(error)}, see above); "
+                f"collector={self.config.compute.collector!r}: a worker {what} ({first_line(error)}, see above); "
                 "go on from the last checkpoint with --resume"
             ) from error
 
     def _spread(self) -> None:
         if self.callable and self.curriculum is not None:
-            arguments = [(self.curriculum.weights.clone(),)] * self.config.workers
+            arguments = [(self.curriculum.weights.clone(),)] * self.config.compute.workers
             self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
 
     @property
@@ -235,22 +235,26 @@ class Collection:
 
 def _for_cpu_data(policy: TensorDictModuleBase, config: TrainConfig) -> Callable[[TensorDictBase], TensorDictBase]:
     """What a collector of this process calls, wherever the policy is; as a module it would be copied to the CPU."""
-    return policy if config.device == "cpu" else OnDevice(policy, config.device, config.captures_graphs).forward
+    return (
+        policy
+        if config.compute.device == "cpu"
+        else OnDevice(policy, config.compute.device, config.captures_graphs).forward
+    )
 
 
 def _engine(config: TrainConfig, threads: int) -> dict[str, Any]:
     """Arguments of TorchRL's ``Collector`` that differ between its engines; each worker needs ``threads`` CPUs."""
-    if config.collector == "process":
+    if config.compute.collector == "process":
         # workers wait while the learner computes: it keeps all of its threads
         return {"total_frames": -1, "cat_results": 0, "num_threads": torch.get_num_threads(), **_PLAIN}
-    if config.collector == "ray":
-        here = {"num_cpus": config.workers * threads, "include_dashboard": False}
+    if config.compute.collector == "ray":
+        here = {"num_cpus": config.compute.workers * threads, "include_dashboard": False}
         cluster = {} if os.environ.get("RAY_ADDRESS") else here  # a cluster has its own resources
         options: dict[str, Any] = {"ray_init_config": cluster, "remote_configs": {"num_cpus": threads, "num_gpus": 0}}
     else:
         options = {"launcher": "mp", "backend": "gloo", "tcp_port": _free_port()}
     options["collector_kwargs"] = dict(_PLAIN)
-    return {"backend": config.collector, "total_frames": _ENDLESS, "backend_options": options}
+    return {"backend": config.compute.collector, "total_frames": _ENDLESS, "backend_options": options}
 
 
 def _free_port() -> int:

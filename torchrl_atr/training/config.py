@@ -1,246 +1,256 @@
-"""The recipe as one flat, validated, serialisable configuration."""
+"""The configuration of a run: nested, typed groups of settings, from Python, a file or the command line."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import torch
+
+from torchrl_atr._config_files import read_values
 from torchrl_atr._cpus import available_cpus
+from torchrl_atr._nested import build, from_text, merged
 from torchrl_atr._registry import import_modules
+from torchrl_atr._settings import ConfigError, Settings, setting
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
+from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS, Task, make_task
+from torchrl_atr.envs.tasks.overrides import override
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import Source
-from torchrl_atr.training.config_checks import ConfigError, check_settings
-from torchrl_atr.training.ranges import plain, wrong_kind
+from torchrl_atr.training import settings as groups
 
 SEED_STRIDE = 1000
 """Between the seeds of two processes that share a run."""
 
 
-_OF_THE_TASK = ("robot", "transporter", "profile", "sensors", "moving_start", "displaced_start")
-
-
 @dataclass(frozen=True)
-class TrainConfig:
-    """Everything a run depends on besides the code.
+class TrainConfig(Settings):
+    """Everything a run depends on besides the code; ``torchrl-atr list settings`` describes every setting.
 
-    The defaults are riding's. :func:`make_config` also takes the settings of the ``task`` and the ``profile`` that
-    differ from them, as the command line does; this class does not.
+    The defaults are riding's. :func:`make_config` also takes the settings of the task and the preset that differ from
+    them, as the command line does; this class does not.
 
-    Attributes:
-        task: name from the registry: ``riding``, ``walking`` or one of your own.
-        robot: name from the registry, or path of a ``.toml`` file that describes one (kept as an absolute path; a run
-            copies the file and all that it needs, and stores the copy's path in the run folder).
-        transporter: ``single_board`` or ``two_board`` in the robot's size, another registered name, or likewise a file.
-            Of a task without one it stays at its default; another value is refused.
-        sensors: name of a set of sensor errors, ``ideal`` or ``realistic``.
-        profile: name from the registry.
-        estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
-        imports: modules imported first, so that they can register tasks, estimators, robots and transporters.
-        num_envs: robots simulated at once.
-        rollout_steps: control steps per robot and iteration.
-        total_frames: robot steps after which training ends.
-        max_minutes: wall-clock minutes after which it ends, whichever comes first; 0 for no limit.
-        seed: of everything.
-        device: of the learner; physics stays on the CPU.
-        num_threads: physics threads; 0 for the CPUs this process may use.
-        torch_threads: threads of torch; 0 for the CPUs this process may use, and fewer while others use them.
-        compiled: whether ``torch.compile`` makes few loops of what the task computes at every step and, where the
-            learner is on the CPU, of policy and losses, and on a GPU makes CUDA graphs of policy and optimiser steps; a
-            resumed run is then the uninterrupted one to rounding.
-        collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
-            engine ``process``, ``ray`` or ``distributed``.
-        workers: processes that share the robots and the CPUs.
-        gamma, gae_lambda: discount and GAE's λ.
-        epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
-        learning_rate, max_learning_rate, target_kl: of the policy; adapted to the measured KL divergence. A run that
-            begins with another's networks begins at that one's last rate if it is lower.
-        final_kl: what ``target_kl`` sinks to while the exploration is annealed, so that the policy settles.
-        critic_learning_rate, estimator_learning_rate: fixed.
-        clip_epsilon, entropy_coeff, max_grad_norm: PPO.
-        average_over: iterations that the running mean of the weights, which is what is deployed, goes over; 1 for the
-            last weights alone.
-        init_std: exploration of what all legs do alike (lean, shift, lift), in units of the action; in a run that
-            begins with another's networks, the ceiling at first.
-        relative_std: exploration of what legs do against each other.
-        min_std: floor of both.
-        noise_correlation: of the exploration from one control step to the next, in [0, 1).
-        final_std: ceiling of the exploration from ``anneal_until`` of the run on, lowered geometrically from
-            ``init_std`` after ``anneal_from`` of it.
-        anneal_from, anneal_until: shares of the run, in [0, 1].
-        smoothness_coeff: pull of the mean action towards that of the step before.
-        roa_coeff: λ of Eq. 15.
-        roa_ramp: whether λ grows linearly from 0 over the run (A23).
-        adaptation_epochs: passes of the estimators over a batch.
-        act_source: what the actor acts on in training: ``privileged``, ``estimated`` or ``mixed`` (A24).
-        dead_reckoning: whether the extrinsic estimator reads the dead_reckoned_velocity beside the history.
-        symmetric: whether encoder, actor and critic treat left and right alike by construction.
-        normalize_targets: whether the extrinsic estimator's errors are measured in standard deviations (A25).
-        steering_cue: whether the actor also reads tanh(c_v) c_ω, which has the sign of the lean that turns.
-        privileged_critic: whether the critic reads more than the observation (A20).
-        tracking_forecast: whether a privileged critic also reads the outlook: what drives the board, and what tracking
-            will be if that lasts.
-        student_fraction: share of the robots that act on the estimates under ``mixed``.
-        history_length: H.
-        critic_cells: hidden widths of the critic; the actor's are Table I's.
-        moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
-        displaced_start: share of the episodes whose robot starts shifted and turned on the boards.
-        retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
-        episode_seconds, command_seconds: time limit, and how long a command lasts.
-        steering_weight_peak: factor of r1 in what is learned from, at its peak: it rises from 1 until ``anneal_until``
-            of the run; 1 leaves the rewards alone. What it adds is not part of what the profile ``ancestor`` clips.
-        steering_weight_end: what it sinks to from there until the run ends; with ``anneal_until=1`` it only rises.
-        tracking_threshold: γ_v = γ_ω, the share of perfect tracking that grows the command grid.
-        count_own_twice: whether a succeeding cell of the command grid grows twice (A4).
-        score_from_seconds: part of a command's time that the score leaves out (A6).
-        initial_speed, initial_yaw_rate: half widths of the first command box, m/s and rad/s; 0 for all of it.
-        max_speed, max_yaw_rate: half widths of the box that commands never leave, m/s and rad/s, multiples of the
-            task's bins (riding: 0.2); 0 for the task's own.
-        runaway_speed, runaway_yaw_rate: how much faster than any command a transporter may get before its episode ends.
-        checkpoint_seconds: longest time between checkpoints.
-        logger: beside ``progress.csv``: ``tensorboard``, ``wandb``, ``mlflow``, or ``csv`` for that file alone.
+    Raises:
+        ConfigError: for a value that is unknown, out of range, or does not go with another; names both and the remedy.
+        UnknownNameError: for an unknown task, robot or transporter.
+
+    Example:
+        >>> TrainConfig(ppo=groups.PPOConfig(gamma=0.9)).ppo.gamma
+        0.9
     """
 
-    task: str = "riding"
-    robot: str = "a1"
-    transporter: str = "single_board"
-    sensors: str = "realistic"
-    profile: str = "default"
-    estimator: str = "cnn_gru"
-    imports: tuple[str, ...] = ()
-    num_envs: int = 512
-    rollout_steps: int = 12
-    total_frames: int = 50_000_000
-    max_minutes: float = 0.0
-    seed: int = 0
-    device: str = "cpu"
-    num_threads: int = 0
-    torch_threads: int = 0
-    compiled: bool = False
-    collector: str = "direct"
-    workers: int = 2
-    gamma: float = 0.995
-    gae_lambda: float = 0.8
-    epochs: int = 2
-    minibatches: int = 4
-    learning_rate: float = 3e-4
-    max_learning_rate: float = 2e-3
-    target_kl: float = 0.03
-    final_kl: float = 0.01
-    critic_learning_rate: float = 1e-3
-    estimator_learning_rate: float = 1e-3
-    clip_epsilon: float = 0.2
-    entropy_coeff: float = 0.0
-    max_grad_norm: float = 1.0
-    average_over: int = 100
-    init_std: float = 0.3
-    relative_std: float = 0.1
-    min_std: float = 0.03
-    noise_correlation: float = 0.9
-    final_std: float = 0.1
-    anneal_from: float = 0.35
-    anneal_until: float = 1.0
-    smoothness_coeff: float = 0.3
-    roa_coeff: float = 0.2
-    roa_ramp: bool = False
-    adaptation_epochs: int = 1
-    act_source: Source = "mixed"
-    dead_reckoning: bool = True
-    steering_cue: bool = True
-    symmetric: bool = True
-    normalize_targets: bool = True
-    privileged_critic: bool = True
-    tracking_forecast: bool = True
-    student_fraction: float = 0.5
-    history_length: int = 10
-    critic_cells: tuple[int, ...] = (256, 128, 64)
-    moving_start: float = 0.8
-    displaced_start: float = 0.3
-    retry: float = 0.5
-    episode_seconds: float = 5.0
-    command_seconds: float = 5.0
-    steering_weight_peak: float = 1.0
-    steering_weight_end: float = 1.0
-    tracking_threshold: float = 0.6
-    score_from_seconds: float = 1.0
-    count_own_twice: bool = False
-    initial_speed: float = 1.0
-    initial_yaw_rate: float = 0.3
-    max_speed: float = 0.0
-    max_yaw_rate: float = 0.0
-    runaway_speed: float = 2.0
-    runaway_yaw_rate: float = 2.0
-    checkpoint_seconds: float = 60.0
-    logger: str = "tensorboard"
+    preset: str = setting("default", alias="preset")
+    """A registered preset, whose settings take the place of the defaults: `list presets`."""
+    seed: int = setting(0, within=(0, 2**31 - 1), alias="seed")
+    """Seed of everything."""
+    total_frames: int = setting(28_000_000, within=(1, 1e15), alias="total-frames")
+    """Robot steps after which training ends, those of earlier sessions of the run included."""
+    max_minutes: float = setting(0.0, within=(0, 1e9), unit="minutes", alias="max-minutes")
+    """Wall-clock time after which it ends, whichever comes first; 0 for no limit."""
+    imports: tuple[str, ...] = setting(())
+    """Modules imported first, so that they can register tasks, estimators, robots and transporters."""
+    env: groups.EnvConfig = field(default_factory=groups.EnvConfig)
+    task: groups.TaskConfig = field(default_factory=groups.TaskConfig)
+    curriculum: groups.CurriculumConfig = field(default_factory=groups.CurriculumConfig)
+    exploration: groups.ExplorationConfig = field(default_factory=groups.ExplorationConfig)
+    ppo: groups.PPOConfig = field(default_factory=groups.PPOConfig)
+    roa: groups.ROAConfig = field(default_factory=groups.ROAConfig)
+    estimator: groups.EstimatorConfig = field(default_factory=groups.EstimatorConfig)
+    compute: groups.ComputeConfig = field(default_factory=groups.ComputeConfig)
+    logging: groups.LoggingConfig = field(default_factory=groups.LoggingConfig)
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            if problem := wrong_kind(field.name, getattr(self, field.name), field.default):
-                raise ConfigError(problem)
-            object.__setattr__(self, field.name, plain(getattr(self, field.name)))
+        super().__post_init__()
         import_modules(self.imports)  # first: they register the names that are checked
-        check_settings(self)
-        for name in COPIES:
-            if is_spec_file(value := getattr(self, name)):  # workers must find it from wherever they run
-                object.__setattr__(self, name, str(Path(value).resolve()))
+        self.make_task()
+        for problem in _problems(self):
+            raise ConfigError(problem)
+        files: dict[str, Any] = {
+            name: str(Path(value).resolve()) for name in COPIES if is_spec_file(value := getattr(self.task, name))
+        }
+        if files:  # workers must find them from wherever they run
+            object.__setattr__(self, "task", dataclasses.replace(self.task, **files))
+
+    def replace(self, **values: Any) -> TrainConfig:
+        """Return the configuration with other values, by dotted name with ``__`` for each dot.
+
+        Example:
+            >>> TrainConfig().replace(ppo__gamma=0.9, seed=3).ppo.gamma
+            0.9
+        """
+        changed = merged({path.replace("__", "."): value for path, value in values.items()})
+        return build(TrainConfig, merged(self.to_dict(), changed))
 
     @property
     def compiles_networks(self) -> bool:
         """Whether policy and losses are compiled too: for a CPU alone, where it was measured."""
-        return self.compiled and self.device == "cpu"
+        return self.compute.compiled and self.compute.device == "cpu"
 
     @property
     def captures_graphs(self) -> bool:
         """Whether optimiser steps are captured as CUDA graphs: what ``compiled`` is for a learner on a GPU."""
-        return self.compiled and self.device != "cpu"
+        return self.compute.compiled and self.compute.device != "cpu"
 
     def threads_each(self, processes: int) -> int:
-        """Physics threads of each of so many processes that share the CPUs."""
-        return max(1, (self.num_threads or available_cpus()) // processes)
+        """Return the physics threads of each of so many processes that share the CPUs."""
+        return max(1, (self.compute.num_threads or available_cpus()) // processes)
 
     def make_task(self, **overrides: Any) -> Task:
         """Return the task, with some arguments of its function replaced.
 
         Raises:
-            UnknownNameError: for an unknown task, robot, transporter or profile.
+            ConfigError: for a setting that the task does not have.
+            UnknownNameError: for an unknown task, robot or transporter.
         """
-        settings = {name: getattr(self, name) for name in _OF_THE_TASK}
-        settings |= {name: getattr(self, name) for name in ("steering_weight_peak", "steering_weight_end")}
-        settings["steering_weight_peak_at"] = self.anneal_until
-        known = inspect.signature(TASKS.get(self.task)).parameters
-        own = {name: value for name, value in settings.items() if name in known}
-        return make_task(self.task, **{**own, **overrides})
+        own, function = self.task, TASKS.get(self.task.name)
+        known = inspect.signature(function).parameters
+        given = {each.name: getattr(own, each.name) for each in dataclasses.fields(own)}
+        given |= {"profile": own.interpretation, "steering_weight_peak_at": self.exploration.anneal_until}
+        given["gains"] = (own.kp, own.kd) if own.kp or own.kd else None
+        for name, default in (("transporter", type(own).transporter), ("gains", None)):
+            if given[name] != default and name not in known:
+                raise ConfigError(
+                    f"task.{name}={given[name]!r}: the task {own.name!r} has no {name}; leave it out, or take "
+                    "--task riding"
+                )
+        passed = {name: value for name, value in given.items() if name in known and name not in ("name", "rewards")}
+        return override(make_task(own.name, **{**passed, **overrides}), own.rewards, own.randomization)
 
     @property
     def title(self) -> str:
         """What is trained, in a few words."""
-        return f"{self.robot} on {self.transporter}" if self.task == "riding" else f"{self.robot} {self.task}"
+        task = self.task
+        return f"{task.robot} on {task.transporter}" if task.name == "riding" else f"{task.robot} {task.name}"
 
     @property
     def grid(self) -> CommandGrid | None:
         """The curriculum's cells and its rule."""
-        grid = self.make_task().command.grid
+        grid, own = self.make_task().command.grid, self.curriculum
         if grid is None:
             return None
-        bounds = self.max_speed or grid.bounds[0], self.max_yaw_rate or grid.bounds[1]
-        return dataclasses.replace(
-            grid,
-            bounds=bounds,
-            initial=(self.initial_speed or bounds[0], self.initial_yaw_rate or bounds[1]),
-            count_own_twice=self.count_own_twice,
-        )
+        bounds = own.max_speed or grid.bounds[0], own.max_yaw_rate or grid.bounds[1]
+        initial = own.initial_speed or bounds[0], own.initial_yaw_rate or bounds[1]
+        return dataclasses.replace(grid, bounds=bounds, initial=initial, count_own_twice=own.count_own_twice)
 
     @property
     def frames_per_batch(self) -> int:
         """Robot steps in one iteration."""
-        return self.num_envs * self.rollout_steps
+        return self.env.num_envs * self.ppo.rollout_steps
 
     def to_dict(self) -> dict[str, Any]:
-        """As plain JSON values."""
+        """Return nested plain JSON values."""
         return json.loads(json.dumps(dataclasses.asdict(self)))
+
+
+def make_config(*sources: Mapping[str, Any]) -> TrainConfig:
+    """Make a configuration of several sources, the later winning: defaults, the preset's, the task's, then these.
+
+    Args:
+        *sources: nested mappings, as files hold them, or dotted names; such as a file's and the command line's.
+
+    Raises:
+        ConfigError: for an unknown setting, a value of the wrong kind or out of range.
+        UnknownNameError: for an unknown preset, task, robot or transporter.
+
+    Example:
+        >>> config = make_config({"env": {"num_envs": 8}, "preset": "paper"}, {"ppo.gamma": 0.9})
+        >>> config.env.num_envs, config.ppo.gamma, config.ppo.symmetric
+        (8, 0.9, False)
+    """
+    from torchrl_atr.training.presets import PRESETS, TASK_SETTINGS
+
+    values = merged(*sources)
+    imports = values.get("imports", ())
+    if isinstance(imports, list | tuple) and all(isinstance(name, str) for name in imports):
+        import_modules(imports)  # first: they may register tasks and presets
+    task = values.get("task", {})
+    name = task.get("name", "riding") if isinstance(task, Mapping) else "riding"
+    own = TASK_SETTINGS.get(name, {}) if isinstance(name, str) else {}
+    return build(TrainConfig, merged(PRESETS.get(values.get("preset", "default")), own, values))
+
+
+def parse_settings(texts: Mapping[str, str]) -> dict[str, Any]:
+    """Return settings that were given as texts, by dotted name, for :func:`make_config`.
+
+    Example:
+        >>> parse_settings({"ppo.critic_cells": "256,128", "compute.compiled": "true"})
+        {'ppo.critic_cells': [256.0, 128.0], 'compute.compiled': True}
+    """
+    return {path: from_text(TrainConfig, path, text) for path, text in texts.items()}
+
+
+def read_config(path: str | Path) -> dict[str, Any]:
+    """Return the settings of a ``.toml`` or ``.json`` file, nested.
+
+    A robot's file is looked up in its folder, as in a run's ``config.toml``, else in the working directory.
+
+    Raises:
+        ConfigError: if it is missing, of another kind, or malformed.
+    """
+    path = Path(path)
+    values = read_values(path)
+    task: Any = values.get("task")
+    for name in COPIES if isinstance(task, dict) else ():
+        if is_spec_file(task.get(name)) and (file := path.parent / task[name]).is_file():
+            task[name] = str(file)
+    return values
+
+
+_ORDER = (
+    ("curriculum.command_seconds", "env.episode_seconds", 0.0, "no command would ever be scored"),
+    ("curriculum.score_from_seconds", "curriculum.command_seconds", CONTROL_DT, "nothing would be left to score"),
+    ("ppo.learning_rate", "ppo.max_learning_rate", 0.0, "the rate is adapted up to that"),
+    ("exploration.anneal_from", "exploration.anneal_until", 1e-9, "both are shares of the run"),
+    *(
+        ("exploration.min_std", f"exploration.{name}_std", 1e-9, "it is the floor")
+        for name in ("init", "relative", "final")
+    ),
+)
+"""Settings that may not exceed others, by how much they must be below them, and why."""
+
+
+def _problems(config: TrainConfig) -> Iterator[str]:
+    """Yield what is wrong with settings that do not go together, each with the remedy."""
+    values, compute = config.to_dict(), config.compute
+    for low, high, gap, why in _ORDER:
+        one, other = (values[path.split(".")[0]][path.split(".")[1]] for path in (low, high))
+        if one > other - gap:
+            yield f"{low}={one:g} must {'be below' if gap else 'not exceed'} {high}={other:g}: {why}"
+    for path in ("ppo.actor_cells", "ppo.critic_cells", "roa.encoder_cells", "roa.latent_features"):
+        group, _, name = path.partition(".")
+        cells = values[group][name]
+        if not cells:
+            yield f"{path}=() must be widths of 1 or more, such as 256,128,64"
+        if config.ppo.symmetric and any(width % 2 for width in (cells if isinstance(cells, list) else [cells])):
+            yield f"{path}={cells} must be even, half for each side; or ppo.symmetric=false"
+    if len(config.env.overspeed_margin) not in (0, 2):
+        yield f"env.overspeed_margin={config.env.overspeed_margin}: give two numbers, m/s and rad/s, or none"
+    if compute.collector != "direct" and config.env.num_envs % compute.workers:
+        yield (
+            f"env.num_envs={config.env.num_envs} cannot be shared evenly by compute.workers={compute.workers}; choose "
+            "a multiple of it"
+        )
+    yield from _device_problems(compute.device)
+    try:
+        _ = config.grid
+    except ValueError as error:
+        own = config.curriculum
+        names = ("initial_speed", "initial_yaw_rate", "max_speed", "max_yaw_rate")
+        yield f"curriculum: {', '.join(f'{name}={getattr(own, name):g}' for name in names)}: {error}"
+
+
+def _device_problems(name: str) -> Iterator[str]:
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        device = torch.device("meta")
+    if device.type not in ("cpu", "cuda"):
+        yield f"compute.device={name!r} is unknown; use 'cpu' or 'cuda'"
+    elif device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        yield f"compute.device={name!r}: torch finds {torch.cuda.device_count() or 'no'} CUDA device here; use 'cpu'"

@@ -28,8 +28,6 @@ from torchrl_atr.training.reward_schedule import RewardSchedule, factors_at, wit
 
 EMA_WARMUP = 9
 """Early in a run the mean goes over a ninth of its iterations: what was learned since counts."""
-KL_STOP_FACTOR = 5.0
-"""Multiples of the KL target at which the rest of an iteration's policy steps is left out."""
 
 
 class Learner:
@@ -62,8 +60,8 @@ class Learner:
         self.reward_schedule, self.callbacks = dict(reward_schedule or {}), callbacks or Callbacks()
         critic = networks.critic_module
         self.advantage = GAE(
-            gamma=config.gamma,
-            lmbda=config.gae_lambda,
+            gamma=config.ppo.gamma,
+            lmbda=config.ppo.gae_lambda,
             value_network=critic,
             average_gae=True,
             shifted=True,
@@ -79,21 +77,23 @@ class Learner:
             "estimators": list(networks.estimator_parameters()),
         }
         rates = {
-            "policy": config.learning_rate,
-            "critic": config.critic_learning_rate,
-            "estimators": config.estimator_learning_rate,
+            "policy": config.ppo.learning_rate,
+            "critic": config.ppo.critic_learning_rate,
+            "estimators": config.estimator.learning_rate,
         }
         self.optimizers = {
             name: torch.optim.Adam(group, lr=rates[name], fused=True, capturable=config.captures_graphs)
             for name, group in self._groups.items()
         }
-        self.schedule = DeviceKLAdaptiveLR(self.optimizers["policy"], config.target_kl, max_lr=config.max_learning_rate)
-        self._first, self._too_far = torch.zeros(2, dtype=torch.bool, device=config.device)
+        self.schedule = DeviceKLAdaptiveLR(
+            self.optimizers["policy"], config.ppo.target_kl, max_lr=config.ppo.max_learning_rate
+        )
+        self._first, self._too_far = torch.zeros(2, dtype=torch.bool, device=config.compute.device)
         self._steps = self._make_steps()
-        self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa_coeff) if config.roa_ramp else None
+        self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa.coeff) if config.roa.ramp else None
         self._reward_factors = dict.fromkeys(self.reward_schedule, 1.0)
         self.guard = StepGuard()
-        self.minibatch_size = -(-config.frames_per_batch // config.minibatches)
+        self.minibatch_size = -(-config.frames_per_batch // config.ppo.minibatches)
 
     def _make_steps(self) -> dict[str, Callable[[TensorDictBase], TensorDictBase]]:
         steps = {"policy": self._policy_step, "estimators": self._adaptation_step}
@@ -108,7 +108,7 @@ class Learner:
         return cast(RidingNetworks, self._averaged.module)
 
     def _average(self, averaged: Any, current: Any, iterations: Tensor | int) -> None:
-        share = max(1 / self.config.average_over, EMA_WARMUP / (EMA_WARMUP + 1 + int(iterations)))
+        share = max(1 / self.config.ppo.ema_horizon, EMA_WARMUP / (EMA_WARMUP + 1 + int(iterations)))
         get_ema_multi_avg_fn(1 - share)(averaged, current, iterations)
 
     def anneal(self, progress: float) -> None:
@@ -119,10 +119,11 @@ class Learner:
         Args:
             progress: share of the run that is over, in [0, 1].
         """
-        config = self.config
-        late = float(np.interp(progress, [config.anneal_from, config.anneal_until], [0.0, 1.0]))
-        self.networks.exploration.cap_(config.init_std * (config.final_std / config.init_std) ** late)
-        self.schedule.target_kl = config.target_kl + late * (config.final_kl - config.target_kl)
+        explore, ppo = self.config.exploration, self.config.ppo
+        if explore.anneal:
+            late = float(np.interp(progress, [explore.anneal_from, explore.anneal_until], [0.0, 1.0]))
+            self.networks.exploration.cap_(explore.init_std * (explore.final_std / explore.init_std) ** late)
+            self.schedule.target_kl = ppo.target_kl + late * (ppo.final_kl - ppo.target_kl)
         self._reward_factors = factors_at(self.reward_schedule, progress)
         if self._roa_ramp is not None:
             self._roa_ramp.step(progress)
@@ -131,7 +132,7 @@ class Learner:
         """One iteration on a batch of shape (N, T).
 
         Args:
-            batch: from a collector that ran ``networks.rollout_policy(config.act_source)``.
+            batch: from a collector that ran ``networks.rollout_policy(config.roa.act_source)``.
 
         Returns:
             Means over the iteration: losses, KL divergence, learning rate, estimator errors; ``chatter``, the root mean
@@ -143,14 +144,14 @@ class Learner:
         """
         with torch.no_grad():
             # a copy: what is added to it, and the weighted reward, is not the caller's
-            device = self.config.device  # to a GPU from pinned memory, without waiting
+            device = self.config.compute.device  # to a GPU from pinned memory, without waiting
             batch = batch.copy().to(device, non_blocking_pin=device != "cpu")
             batch = with_factors(batch, self._reward_factors)
             batch = self.advantage(batch)
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
             chatter = (batch["loc"] - batch["previous_mean"]).square().mean().sqrt()
         flat = batch.reshape(-1)
-        if self.config.act_source == "privileged":
+        if self.config.roa.act_source == "privileged":
             self._record_latent_estimates(flat)
         shuffled = self._shuffled(flat)
         self._first.fill_(True)
@@ -177,10 +178,10 @@ class Learner:
         return read.apply(lambda entry: entry.index_select(0, order))
 
     def _learn_policy(self, shuffled: TensorDictBase) -> TensorDictBase:
-        return self._epochs("policy", shuffled, self.config.epochs)
+        return self._epochs("policy", shuffled, self.config.ppo.epochs)
 
     def _learn_estimators(self, shuffled: TensorDictBase) -> TensorDictBase:
-        return self._epochs("estimators", shuffled, self.config.adaptation_epochs)
+        return self._epochs("estimators", shuffled, self.config.estimator.epochs)
 
     @property
     def _read(self) -> dict[Phase, list[NestedKey]]:
@@ -211,7 +212,8 @@ class Learner:
         divergence = _kl_divergence(terms)
         self.schedule.step(divergence, hold=self._first | self._too_far)
         self._first.fill_(False)
-        self._too_far.logical_or_(self.schedule.exceeded(divergence, KL_STOP_FACTOR))
+        if self.config.ppo.kl_stop > 0:
+            self._too_far.logical_or_(self.schedule.exceeded(divergence, self.config.ppo.kl_stop))
         terms = self.callbacks.through("on_loss", terms, minibatch, "policy")
         return self._step(terms, ("policy", "critic"), self._too_far)
 
@@ -225,7 +227,7 @@ class Learner:
         for name in names:
             self.optimizers[name].zero_grad(set_to_none=True)
         total.backward()
-        norms = {name: nn.utils.clip_grad_norm_(self._groups[name], self.config.max_grad_norm) for name in names}
+        norms = {name: nn.utils.clip_grad_norm_(self._groups[name], self.config.ppo.max_grad_norm) for name in names}
         finite = self.guard.finite(terms, norms)
         left_out = ~torch.stack(list(finite.values())).all()
         left_out = left_out if hold is None else left_out | hold
@@ -291,7 +293,7 @@ class Learner:
             check_moments(optimizer, theirs[name], name)
             optimizer.load_state_dict({**optimizer.state_dict(), "state": theirs[name]["state"]})
         rate = float(theirs["policy"]["param_groups"][0]["lr"])
-        self.schedule.set_rate(min(rate, self.config.learning_rate))
+        self.schedule.set_rate(min(rate, self.config.ppo.learning_rate))
 
 
 def _kl_divergence(terms: TensorDictBase) -> Tensor:

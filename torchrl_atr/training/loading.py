@@ -49,7 +49,7 @@ def load_run(
     state = load_checkpoint(run if checkpoint is None else run / checkpoint)
     parts = Parts(make_env, make_networks)
     parts.check_complete(state, run, ("make_env", "make_networks"))
-    config = run_config(state, run, imports, device="cpu")  # wherever it was trained
+    config = run_config(state, run, imports, {"compute.device": "cpu"})  # wherever it was trained
     if make_env is None:
         env, trained_in = _recipes_envs(config, state, run, env_overrides)
     else:
@@ -58,7 +58,9 @@ def load_run(
     try:
         networks = parts.networks(config, trained_in)
     except EstimatorError as error:
-        raise CheckpointError(f"the estimator {config.estimator!r} of {run} does not work here: {error}") from error
+        raise CheckpointError(
+            f"the estimator {config.estimator.name!r} of {run} does not work here: {error}"
+        ) from error
     load_networks(networks, deployed_weights(state["learner"]), run)
     return config, env, networks.eval(), state
 

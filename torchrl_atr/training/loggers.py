@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchrl_atr.training.config_checks import ConfigError
+from torchrl_atr._settings import ConfigError
 
 if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
@@ -20,7 +20,9 @@ def check_logger(name: str) -> None:
         ConfigError: if not; names the package.
     """
     if name in ("wandb", "mlflow") and find_spec(name) is None:
-        raise ConfigError(f"logger={name!r} needs the package {name}: pip install {name}; or take another logger")
+        raise ConfigError(
+            f"logging.logger={name!r} needs the package {name}: pip install {name}; or take another logger"
+        )
 
 
 def make_logger(name: str, run: Path, title: str, resume_from: int | None = None) -> Logger | None:

@@ -18,8 +18,7 @@ from torchrl_atr.modules import get_estimator
 from torchrl_atr.training.assembly import check_run_estimator, make_env, make_run_networks
 from torchrl_atr.training.callbacks import Callbacks
 from torchrl_atr.training.checkpoint import CheckpointError
-from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.config_checks import ConfigError
+from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.run_files import DUMPS
 
 FACTORIES = ("make_env", "make_networks", "make_loss")
@@ -106,13 +105,13 @@ class Parts:
             if isinstance(factory, nn.Module):  # which can be called, and envs are modules
                 raise ConfigError(f"{name}={type(factory).__name__}(...) is what is to be made; give what makes it")
         if self.make_networks is None:
-            get_estimator(config.estimator)
-        if config.collector != "direct" and self.make_env is not None:
+            get_estimator(config.estimator.name)
+        if config.compute.collector != "direct" and self.make_env is not None:
             _check_picklable("make_env", self.make_env, config)
         if config.captures_graphs and (culprits := self.callbacks.calling("on_loss")):
             raise ConfigError(
-                f"on_loss of the callback {culprits[0].name!r}: with compiled=true optimiser steps on a GPU are CUDA "
-                "graphs, which run no Python; set compiled=false, or use on_minibatch"
+                f"on_loss of the callback {culprits[0].name!r}: with compute.compiled=true optimiser steps on a GPU "
+                "are CUDA graphs, which run no Python; set compute.compiled=false, or use on_minibatch"
             )
 
     def check_complete(self, state: Mapping[str, Any], run: Path, needed: Collection[str]) -> None:
@@ -146,9 +145,9 @@ class Parts:
         if self.make_env is None:
             return partial(make_env, config, dump_dir=run.resolve() / DUMPS)
         share: dict[str, Any] = {
-            "num_envs": config.num_envs,
+            "num_envs": config.env.num_envs,
             "seed": config.seed,
-            "num_threads": config.num_threads or None,
+            "num_threads": config.compute.num_threads or None,
         }
         return partial(_own_env, self.make_env, **share)
 
@@ -171,7 +170,7 @@ class Parts:
         except (AttributeError, KeyError, RuntimeError, ValueError) as error:
             if not own and (isinstance(error, UserError) or not isinstance(error, KeyError)):
                 raise
-            env_of = f"the env of {_full_name(self.make_env)}" if own else f"the task {config.task!r}"
+            env_of = f"the env of {_full_name(self.make_env)}" if own else f"the task {config.task.name!r}"
             raise ConfigError(
                 f"the recipe's networks do not fit {env_of} ({type(error).__name__}: {first_line(error)}); give "
                 "make_networks= too"
@@ -187,9 +186,9 @@ class Parts:
             return None
         loss = self.make_loss(networks)
         _check_interface("make_loss", loss, LOSS_INTERFACE, "ROAClipPPOLoss")
-        if config.roa_ramp and not hasattr(loss, "roa_coeff"):
+        if config.roa.ramp and not hasattr(loss, "roa_coeff"):
             raise ConfigError(
-                "roa_ramp=true needs a loss with roa_coeff, which that of make_loss lacks; set it to false"
+                "roa.ramp=true needs a loss with roa_coeff, which that of make_loss lacks; set it to false"
             )
         known = {id(parameter) for parameter in networks.parameters()}
         strangers = [name for name, value in loss.named_parameters() if value.requires_grad and id(value) not in known]
@@ -232,9 +231,9 @@ def _check_picklable(name: str, value: Any, config: TrainConfig) -> None:
         pickle.dumps(value)
     except Exception as error:
         raise ConfigError(
-            f"{name}={value!r} cannot be pickled ({first_line(error)}), and collector={config.collector!r} sends it to "
-            "other processes; give a function or class that a module defines at its top level, or functools.partial of "
-            "one"
+            f"{name}={value!r} cannot be pickled ({first_line(error)}), and collector={config.compute.collector!r} "
+            "sends it to other processes; give a function or class that a module defines at its top level, or "
+            "functools.partial of one"
         ) from error
 
 

@@ -10,8 +10,7 @@ import torch
 from torchrl.envs import EnvBase
 
 from torchrl_atr.envs.models.identity import Description, describe
-from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.config_checks import ConfigError
+from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.env_access import attribute
 from torchrl_atr.training.loggers import check_logger
 from torchrl_atr.training.parts import FACTORIES, Parts
@@ -47,7 +46,7 @@ def check_given(
     if logger is not None and missing:
         raise ConfigError(f"logger={logger!r} lacks {missing[0]}; give one of torchrl.record.loggers")
     if logger is None:
-        check_logger(config.logger)
+        check_logger(config.logging.logger)
     if state is not None:
         parts.check_complete(state, run, FACTORIES)
         if state.get("members"):
@@ -94,7 +93,7 @@ def trained_networks(
         load_networks(networks, state["learner"]["networks"], run)
     elif other is not None:
         load_networks(networks, deployed_weights(other["learner"]), Path(other["run"]))
-    return networks.to(config.device)
+    return networks.to(config.compute.device)
 
 
 def model_of(env: EnvBase) -> Description | None:

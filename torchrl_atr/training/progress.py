@@ -82,7 +82,7 @@ class Progress:
         resume_from: frames of the checkpoint that the run goes on from; later rows of its log are dropped. None for a
             new run.
         logger: of TorchRL, which gets every iteration's metrics by robot steps and stays open; None for the one that
-            ``config.logger`` names.
+            ``config.logging.logger`` names.
         title: of the run, for the logger.
     """
 
@@ -111,7 +111,7 @@ class Progress:
 
     def __enter__(self) -> Progress:
         self._logger = self.logger or self._make_logger()
-        if self._logger is not None and (self.logger is not None or self.config.logger != "tensorboard"):
+        if self._logger is not None and (self.logger is not None or self.config.logging.logger != "tensorboard"):
             self._logger.log_hparams(self.config.to_dict())  # TensorBoard takes no lists; config.json has them all
         return self
 
@@ -136,12 +136,13 @@ class Progress:
 
     def _make_logger(self) -> Logger | None:
         """Return the logger that the configuration names; None where it cannot write."""
+        name = self.config.logging.logger
         try:
             str(self.run).encode()
         except UnicodeEncodeError:
-            say(f"no log for {self.config.logger}: this locale cannot spell the folder; progress.csv holds the same")
+            say(f"no log for {name}: this locale cannot spell the folder; progress.csv holds the same")
             return None
-        logger = make_logger(self.config.logger, self.run, self.title or self.run.name, self._resume_from)
+        logger = make_logger(name, self.run, self.title or self.run.name, self._resume_from)
         if logger is not None:
             self._open.enter_context(logger.experiment)  # a SummaryWriter, or a run of W&B or MLflow
         return logger

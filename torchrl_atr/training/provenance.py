@@ -13,8 +13,9 @@ from typing import Any
 import torch
 
 from torchrl_atr._cpus import available_cpus
-from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.config_io import make_config
+from torchrl_atr._nested import flat, to_text
+from torchrl_atr._settings import settings
+from torchrl_atr.training.config import TrainConfig, make_config
 from torchrl_atr.training.run_files import stored_settings
 
 _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
@@ -48,7 +49,7 @@ def provenance(
         "model": model,
         "frames": frames,
         "minutes": round(seconds / 60, 2),
-        **machine(config.device),
+        **machine(config.compute.device),
         **origin,
         **({"parts": dict(parts)} if parts else {}),
     }
@@ -83,31 +84,31 @@ def cores(hardware: dict[str, Any]) -> str:
     return f"{where}, {hardware['accelerator']}" if "accelerator" in hardware else where
 
 
-def command_line(settings: Mapping[str, Any], start: Mapping[str, Any] | None = None) -> str:
+def command_line(config: Mapping[str, Any], start: Mapping[str, Any] | None = None) -> str:
     """The command that starts such a run: what differs from the defaults, or from the run that it began from.
 
     Args:
-        settings: of the run, all of them, as plain JSON values.
+        config: settings of the run, all of them, as plain JSON values.
         start: ``run`` and ``config`` of the run that it began from.
 
     Example:
-        >>> command_line(TrainConfig(gamma=0.9).to_dict())
-        'torchrl-atr train --robot a1 --transporter single_board --seed 0 --set gamma=0.9'
-        >>> command_line(TrainConfig(gamma=0.9, seed=1).to_dict(), {"run": "runs/ride", "config": {"gamma": 0.8}})
-        'torchrl-atr train --from runs/ride --seed 1 --set gamma=0.9'
+        >>> command_line(make_config({"ppo.gamma": 0.9}).to_dict())
+        'torchrl-atr train --robot a1 --transporter single_board --seed 0 --ppo.gamma 0.9'
+        >>> start = {"run": "runs/ride", "config": make_config({"ppo.gamma": 0.8}).to_dict()}
+        >>> command_line(make_config({"ppo.gamma": 0.9, "seed": 1}).to_dict(), start)
+        'torchrl-atr train --from runs/ride --seed 1 --ppo.gamma 0.9'
     """
-    defaults = make_config({"task": settings.get("task", "riding")}).to_dict()
+    given, known = flat(config), settings(TrainConfig)
     if start is None:
-        task = ("task",) if defaults["task"] != "riding" else ()
-        named = {name: settings[name] for name in (*task, "robot", "transporter", "seed")}
+        defaults = flat(make_config({"task.name": given["task.name"], "preset": given["preset"]}).to_dict())
+        named = ["task.robot", "task.transporter", "seed"]
+        named += [path for path in ("task.name", "preset") if given[path] != known[path].default]
     else:
-        named = {"from": start["run"], "seed": settings["seed"]}
-        defaults |= start["config"]
-    parts = [f"--{name} {shlex.quote(str(value))}" for name, value in named.items()]
-    for name, value in settings.items():
-        if name not in named and value != defaults[name]:
-            text = ",".join(map(str, value)) if isinstance(value, list) else value
-            parts.append(f"--set {shlex.quote(f'{name}={text}')}")
+        defaults, named = flat(start["config"]), ["seed"]
+    parts = [] if start is None else [f"--from {shlex.quote(start['run'])}"]
+    for path in [*named, *(path for path in given if path not in named and given[path] != defaults.get(path))]:
+        name = (path in known and known[path].alias) or path.replace("_", "-")
+        parts.append(f"--{name} {shlex.quote(to_text(given[path]))}")
     return " ".join(["torchrl-atr train", *parts])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from textwrap import shorten
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -15,9 +16,7 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models import Scene
 from torchrl_atr.envs.models.identity import PARTS, describe, differences, first_few
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
-from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.config_checks import ConfigError
-from torchrl_atr.training.config_io import make_config
+from torchrl_atr.training.config import ConfigError, TrainConfig, make_config
 from torchrl_atr.training.run_files import located_settings
 
 _PARTS = (
@@ -76,8 +75,9 @@ def other_parts(config: TrainConfig, other: Mapping[str, Any]) -> set[str]:
         config: of the new one.
         other: from :func:`read_other`.
     """
-    theirs = located_settings(other["config"], Path(other["run"]))
-    return {part for part in PARTS if getattr(config, part) != theirs.get(part)}
+    theirs, task = located_settings(other["config"], Path(other["run"]))["task"], config.task
+    replaced = {part for part in PARTS if getattr(task, part) != theirs[part]}
+    return replaced if (task.kp, task.kd) == (theirs["kp"], theirs["kd"]) else {*replaced, "robot"}
 
 
 def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] = ()) -> dict[str, Any]:
@@ -108,21 +108,23 @@ def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] =
     return {**settings, "imports": list(dict.fromkeys(imported))}
 
 
-def run_config(state: Mapping[str, Any], run: Path, imports: Sequence[str] = (), **changed: Any) -> TrainConfig:
-    """The settings of a checkpoint, some of them changed.
+def run_config(
+    state: Mapping[str, Any], run: Path, imports: Sequence[str] = (), changed: Mapping[str, Any] = MappingProxyType({})
+) -> TrainConfig:
+    """Return the settings of a checkpoint, some of them changed.
 
     Args:
         state: from :func:`~torchrl_atr.training.load_checkpoint`.
         run: its folder, or the file in it.
         imports: see :func:`saved_settings`.
-        **changed: settings to replace.
+        changed: settings to replace, by dotted name.
 
     Raises:
         CheckpointError: if a part is missing, or a setting does not work with this code or on this machine.
     """
     settings = saved_settings(state, run, imports)
     try:
-        return make_config({**settings, **changed})
+        return make_config(settings, changed)
     except UserError as error:
         raise CheckpointError(f"the settings of {run} do not work here: {error}") from error
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Mapping
 
 from tensordict import TensorDictBase
 
-from torchrl_atr.training.config_checks import ConfigError
+from torchrl_atr._settings import ConfigError
 
 RewardSchedule = Mapping[str, Callable[[float], float]]
 """By reward term's name the factor that it counts with, a function of the progress of the run in [0, 1]."""

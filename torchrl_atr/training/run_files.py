@@ -17,10 +17,10 @@ from torchrl_atr.training.config import TrainConfig
 
 MODEL = "model"
 """Folder of a run that holds its robot's and its transporter's files."""
+CONFIG = "config.toml"
+"""File of a run that holds its settings, to be edited and started from."""
 DUMPS = "diverged"
 """Folder of a run that simulations which failed are written to."""
-_GONE = ("learners",)
-"""Settings of earlier versions that no longer change anything."""
 
 
 def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
@@ -39,7 +39,7 @@ def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
         OSError: if a file cannot be read or written.
     """
     folder = run.resolve() / MODEL
-    given = {name: Path(getattr(config, name)) for name in COPIES if is_spec_file(getattr(config, name))}
+    given = {name: Path(getattr(config.task, name)) for name in COPIES if is_spec_file(getattr(config.task, name))}
     if not fresh and all(path.is_relative_to(folder) for path in given.values()):
         return config
     staged = folder.with_name(f".{MODEL}.{os.getpid()}.part")
@@ -54,7 +54,7 @@ def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
                 os.replace(staged, folder)
         finally:
             shutil.rmtree(staged, ignore_errors=True)
-    return dataclasses.replace(config, **copies)
+    return dataclasses.replace(config, task=dataclasses.replace(config.task, **copies)) if copies else config
 
 
 def clear(run: Path) -> None:
@@ -68,9 +68,10 @@ def clear(run: Path) -> None:
 def stored_settings(config: TrainConfig, run: Path) -> dict[str, Any]:
     """Return a configuration as plain JSON values that name the run's own files relative to its folder."""
     settings, folder = config.to_dict(), run.resolve()
+    task = settings["task"]
     for name in COPIES:
-        if is_spec_file(settings[name]) and Path(settings[name]).is_relative_to(folder):
-            settings[name] = Path(settings[name]).relative_to(folder).as_posix()
+        if is_spec_file(task[name]) and Path(task[name]).is_relative_to(folder):
+            task[name] = Path(task[name]).relative_to(folder).as_posix()
     return settings
 
 
@@ -78,13 +79,13 @@ def located_settings(settings: Mapping[str, Any], folder: Path) -> dict[str, Any
     """Undo :func:`stored_settings`, wherever the run is now; absolute paths and names stay as they are.
 
     Args:
-        settings: field values.
+        settings: nested, of a whole configuration.
         folder: of the run, or of the file that the settings are from.
 
     Example:
-        >>> located_settings({"robot": "model/robot/mine.toml", "gamma": 0.9}, Path("/runs/one"))["robot"]
+        >>> located_settings({"task": {"robot": "model/robot/mine.toml"}}, Path("/runs/one"))["task"]["robot"]
         '/runs/one/model/robot/mine.toml'
     """
-    files = {name: settings[name] for name in COPIES if is_spec_file(settings.get(name))}
-    known = {name: value for name, value in settings.items() if name not in _GONE}
-    return {**known, **{name: str(folder.resolve() / value) for name, value in files.items()}}
+    task = dict(settings["task"])
+    files = {name: str(folder.resolve() / task[name]) for name in COPIES if is_spec_file(task.get(name))}
+    return {**settings, "task": {**task, **files}}

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torchrl.envs import EnvBase
 
-from torchrl_atr._files import say, sweep, write_json
+from torchrl_atr._config_files import to_toml
+from torchrl_atr._files import atomic, say, sweep, write_json
 from torchrl_atr._interrupt import Interrupt
 from torchrl_atr._threads import TorchThreads
 from torchrl_atr.envs.models.identity import digest
@@ -29,7 +30,7 @@ from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import check_model
 from torchrl_atr.training.reward_schedule import check_reward_terms
-from torchrl_atr.training.run_files import clear, keep_files, stored_settings
+from torchrl_atr.training.run_files import CONFIG, clear, keep_files, stored_settings
 
 if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
@@ -80,7 +81,7 @@ class Trainer:
         >>> from functools import partial
         >>> from tempfile import TemporaryDirectory
         >>> from torchrl_atr.envs import make_riding_env
-        >>> config = TrainConfig(num_envs=4, rollout_steps=4, total_frames=16, minibatches=1, num_threads=1)
+        >>> config = make_config({"env.num_envs": 4, "ppo.rollout_steps": 4, "ppo.minibatches": 1, "total_frames": 16})
         >>> with TemporaryDirectory() as run:
         ...     trainer = Trainer(config, run, make_env=partial(make_riding_env, "go1", "two_board"))
         ...     # trainer.train()
@@ -106,7 +107,7 @@ class Trainer:
         self.parts = Parts(make_env, make_networks, make_loss, Callbacks(callbacks))
         other = check_given(config, self.run, self.parts, state, None if start is None else Path(start), logger)
         torch.manual_seed(config.seed)
-        self.threads = TorchThreads(config.torch_threads, adaptive=config.torch_threads == 0)
+        self.threads = TorchThreads(config.compute.torch_threads, adaptive=config.compute.torch_threads == 0)
         self.env = self._env_maker()
         networks = trained_networks(config, self.run, self.env, self.parts, state, other, replaced)
         self._model = model_of(self.env)
@@ -118,7 +119,7 @@ class Trainer:
         self.curriculum = env_access.curriculum_of(self.env)
         if state is None and other is None:
             with self.threads:  # compiled steps are for that many
-                init_normalizers(networks, self.env, self.config.rollout_steps, config.device)
+                init_normalizers(networks, self.env, self.config.ppo.rollout_steps, self.config.compute.device)
         self.learner = Learner(networks, self.config, loss, schedule, self.parts.callbacks)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
         self.reward, self.best_reward = 0.0, float("-inf")  # of episodes: running mean, and the best at a checkpoint
@@ -160,7 +161,8 @@ class Trainer:
         Returns:
             The signal that ended it early, or None.
         """
-        write_json(self.run / "config.json", stored_settings(self.config, self.run))
+        with atomic(self.run / CONFIG) as file:
+            file.write_text(to_toml(TrainConfig, stored_settings(self.config, self.run)), encoding="utf-8")
         with Interrupt(partial(say, _STOPPING)) as interrupt, self.threads:
             try:
                 _ = self.collection  # workers take a while to start: not part of the first iteration's time
@@ -205,7 +207,7 @@ class Trainer:
                 return
             if on_iteration is not None or self.parts.callbacks.calling("on_iteration"):
                 self._mark = time.monotonic()
-            if time.monotonic() - saved > self.config.checkpoint_seconds:
+            if time.monotonic() - saved > self.config.logging.checkpoint_seconds:
                 self.save()
                 saved = time.monotonic()
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import (
     LEGS,
     ROBOTS,
@@ -19,7 +20,6 @@ from torchrl_atr.envs.models import (
     get_transporter,
     scene_spec,
 )
-from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.riding import RidingEnv
 
 A1, BOARD, A1_BOARDS = ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"), TRANSPORTERS.get("two_board_g1")
@@ -74,7 +74,7 @@ def test_two_boards_lie_side_by_side_with_the_right_legs_on_the_right_one(stand)
 
 
 def test_self_balancing_gains_follow_their_unit():
-    for readings, unit in ((Readings(), 180 / np.pi), (get_readings("literal"), 1.0)):
+    for readings, unit in ((Interpretation(), 180 / np.pi), (get_interpretation("literal"), 1.0)):
         scene = build_scene(A1, Transporter(BOARD, readings))
         tilt, dofs = scene.support_layout.tilt_joints, scene.support_layout.tilt_dof
         np.testing.assert_allclose(scene.model.jnt_stiffness[tilt], 1.15 * unit)
@@ -84,7 +84,7 @@ def test_self_balancing_gains_follow_their_unit():
 @pytest.mark.parametrize(("profile", "scale"), [("default", 5 * 180 / np.pi), ("literal", 1.0)])
 def test_large_decks_carry_scaled_springs_unless_read_literally(profile, scale):
     deck = TRANSPORTERS.get("two_board_g2")
-    model = build_scene(ROBOTS.get("spot"), Transporter(deck, get_readings(profile))).model
+    model = build_scene(ROBOTS.get("spot"), Transporter(deck, get_interpretation(profile))).model
     for side in ("right", "left"):
         joint = model.joint(f"platform_pitch_{side}")
         assert joint.stiffness[0] == pytest.approx(1.15 * scale)
@@ -93,7 +93,7 @@ def test_large_decks_carry_scaled_springs_unless_read_literally(profile, scale):
 
 def test_each_gain_of_two_boards_reaches_its_own_board():
     deck = dataclasses.replace(TRANSPORTERS.get("two_board_g1"), sb_stiffness=(1.0, 2.0), sb_damping=(0.01, 0.02))
-    model = build_scene(A1, Transporter(deck, get_readings("literal"))).model
+    model = build_scene(A1, Transporter(deck, get_interpretation("literal"))).model
     joints = [model.joint(f"platform_pitch_{side}") for side in ("right", "left")]
     assert [joint.stiffness[0] for joint in joints] == pytest.approx([1.0, 2.0])
     assert [joint.damping[0] for joint in joints] == pytest.approx([0.01, 0.02])

@@ -12,7 +12,7 @@ import pytest
 from torchrl_atr.envs import ROBOTS, RidingEnv, get_transporter, read_transporter
 from torchrl_atr.envs.models import TRANSPORTERS, TransporterError
 from torchrl_atr.envs.models.transporter import describe_transporter
-from torchrl_atr.training import TrainConfig
+from torchrl_atr.training import make_config
 
 A1, BOARD = ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1")
 FACTS = {"name": "wide", "design": "two_board", "size": [0.9, 0.9, 0.05], "mass": 14, "resistance": [0.1, 0, 0]}
@@ -44,7 +44,7 @@ def test_a_file_is_a_transporter_wherever_one_is_chosen(tmp_path, monkeypatch):
     assert env.rollout(2)["next", "observation"].isfinite().all()
     np.testing.assert_allclose(env.model.geom("deck_left").size, [0.45, 0.225, 0.025])
     monkeypatch.chdir(tmp_path)
-    assert TrainConfig(transporter="wide.toml").transporter == str(path.resolve())
+    assert make_config({"task.transporter": "wide.toml"}).task.transporter == str(path.resolve())
 
 
 @pytest.mark.parametrize(

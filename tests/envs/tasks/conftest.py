@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, Scene, Transporter, build_scene
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks import StepContext
 from torchrl_atr.envs.tasks.riding.state import RidingState
 from torchrl_atr.envs.tasks.rotations import matrix_from_euler
@@ -69,7 +69,7 @@ def make_context(scene: Scene) -> ContextMaker:
         action: object = None,
         previous_action: object = None,
         terminated: bool = False,
-        readings: Readings | None = None,
+        readings: Interpretation | None = None,
         **state: object,
     ) -> StepContext:
         def row(value: object) -> Tensor:
@@ -82,7 +82,7 @@ def make_context(scene: Scene) -> ContextMaker:
             previous_action=row(previous_action),
             terminated=torch.tensor([terminated]),
             scene=scene,
-            readings=readings or Readings(),
+            readings=readings or Interpretation(),
         )
 
     return make

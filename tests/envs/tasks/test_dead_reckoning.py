@@ -10,8 +10,8 @@ from torch import Tensor
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs import QuadrupedEnv
+from torchrl_atr.envs.interpretation import get_interpretation
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.envs.profiles import get_readings
 from torchrl_atr.envs.tasks import riding
 from torchrl_atr.envs.tasks.dead_reckoning import BIAS, KEY, LEAK_TIME, METHODS, START_STD, dead_reckoning
 from torchrl_atr.envs.tasks.rotations import matrix_from_euler
@@ -31,7 +31,7 @@ def drive(
         "angular_velocity": (rotation * torch.tensor([[0.0, 0.0, yaw_rate]]).unsqueeze(-1)).sum(-2),
         "orientation": euler[:, :2],
     }
-    context = SimpleNamespace(state=state, readings=get_readings(), memory={}, sensed=sensed.__getitem__)
+    context = SimpleNamespace(state=state, readings=get_interpretation(), memory={}, sensed=sensed.__getitem__)
     context.memory[KEY] = term.start(context)
     for _ in range(round(seconds / CONTROL_DT)):
         context.memory[KEY] = term.update(context)
@@ -81,7 +81,7 @@ def test_the_mirror_image_of_a_turn_is_reckoned_as_the_mirror_image(method):
 def test_it_reads_what_is_sensed_and_not_the_truth(method):
     far = {"acceleration": {"bias": 5.0}}
     envs = [
-        QuadrupedEnv(riding(sensors=sensors, dead_reckoning=method, pushes=False), 8, seed=0, num_threads=1)
+        QuadrupedEnv(riding(sensors=sensors, velocity_filter=method, pushes=False), 8, seed=0, num_threads=1)
         for sensors in ("ideal", far)
     ]
     exact, biased = (env.rollout(5)["next", KEY][:, -1, :2] for env in envs)
@@ -89,5 +89,5 @@ def test_it_reads_what_is_sensed_and_not_the_truth(method):
 
 
 def test_an_unknown_method_is_named():
-    with pytest.raises(InputError, match="dead_reckoning 'magic'"):
-        riding(dead_reckoning="magic")
+    with pytest.raises(InputError, match="velocity_filter 'magic'"):
+        riding(velocity_filter="magic")

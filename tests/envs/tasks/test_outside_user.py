@@ -15,7 +15,13 @@ from torchrl_atr.envs.tasks import make_task, riding
 from torchrl_atr.training import Trainer, make_config
 
 with_compiler = pytest.mark.skipif(compiler() is None, reason="no C++ compiler on PATH")
-TINY = {"num_envs": 8, "rollout_steps": 6, "total_frames": 96, "torch_threads": 1, "num_threads": 1}
+TINY = {
+    "env.num_envs": 8,
+    "ppo.rollout_steps": 6,
+    "total_frames": 96,
+    "compute.torch_threads": 1,
+    "compute.num_threads": 1,
+}
 
 
 def test_the_files_are_as_short_as_promised():
@@ -78,7 +84,7 @@ def test_compiled_or_not_they_come_to_the_same():
     ],
 )
 def test_they_train(tmp_path, module, name, compiled):
-    config = make_config({**TINY, "task": name, "imports": (f"examples.{module}",), "compiled": compiled})
+    config = make_config({**TINY, "task.name": name, "imports": (f"examples.{module}",), "compute.compiled": compiled})
     trainer, seen = Trainer(config, tmp_path), []
     trainer.train(seen.append)
     assert len(seen) == 2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.tasks import RIDING_REWARDS
 from torchrl_atr.envs.tasks.reward_terms import RewardError, RewardFunction, RewardTerm
 
@@ -13,7 +13,7 @@ TRACKING = ("forward_command", "steering_command")
 
 
 def reward_function(context, terms=RIDING_REWARDS, **readings):
-    context.readings = Readings(**readings)
+    context.readings = Interpretation(**readings)
     return RewardFunction(terms, context, TRACKING)
 
 

@@ -38,7 +38,7 @@ def make(task):
         ({"disturbances": {"push": push_robot}}, "the disturbance 'push' is <function.*give a Disturbance"),
         ({"memory": None}, "memory=None; give a mapping"),
         ({"tracking": "forward_command"}, "tracking='forward_command'; give a list"),
-        ({"readings": "literal"}, "readings='literal'; give Readings"),
+        ({"readings": "literal"}, "readings='literal'; give Interpretation"),
         ({"reset": 3}, "reset=3 cannot be called"),
         ({"hook": 3}, "hook=3 cannot be called; give a subclass of SubstepHook"),
         ({"state_reader": 3}, "state_reader=3; give a subclass of StateReader"),

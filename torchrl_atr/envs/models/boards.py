@@ -10,9 +10,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.support import Support, touch
 from torchrl_atr.envs.models.transporter import Board, TransporterSpec
-from torchrl_atr.envs.profiles import Readings
 
 BOARD_HEIGHT = 0.15
 """Height of the boards' centre above the floor, m: the altitude controller holds it (no vertical joint)."""
@@ -64,7 +64,7 @@ class Transporter(Support):
     """
 
     spec: TransporterSpec
-    readings: Readings = dataclasses.field(default_factory=Readings)
+    readings: Interpretation = dataclasses.field(default_factory=Interpretation)
 
     kind = "transporter"
     contact = (mujoco.mjtObj.mjOBJ_XBODY, PIVOT)

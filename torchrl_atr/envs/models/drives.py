@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.interpretation import Interpretation
 
 if TYPE_CHECKING:
     from torchrl_atr.envs.models.transporter import TransporterSpec
 
-Drive = Callable[[Tensor, Tensor, "TransporterSpec", Readings], Tensor]
+Drive = Callable[[Tensor, Tensor, "TransporterSpec", Interpretation], Tensor]
 """From tilt (N, 2), speeds (N, 2), transporter and readings to propulsion (N, 2), float64; see :func:`tilt_drive`."""
 
 
-def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readings: Readings) -> Tensor:
+def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readings: Interpretation) -> Tensor:
     """Compute the propulsion of Eqs. 1 and 3 (or 7 and 8) before resistance, for a transporter of unit relative mass.
 
     Args:
@@ -35,7 +35,7 @@ def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readi
         >>> from torchrl_atr.envs.models import TRANSPORTERS
         >>> board = TRANSPORTERS.get("single_board_g1")
         >>> tilt = torch.tensor([[0.39, 0.0]], dtype=torch.float64)
-        >>> tilt_drive(tilt, torch.zeros_like(tilt), board, Readings())[0, 0].item()
+        >>> tilt_drive(tilt, torch.zeros_like(tilt), board, Interpretation())[0, 0].item()
         6.0
     """
     smoothing = readings.steering_smoothing

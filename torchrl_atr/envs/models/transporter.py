@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._registry import Registry, unknown
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.drives import Drive, tilt_drive
 from torchrl_atr.envs.models.robot import GROUPS, RobotSpec
 from torchrl_atr.envs.models.spec_file import (
@@ -25,7 +26,6 @@ from torchrl_atr.envs.models.spec_file import (
     is_spec_file,
     read_spec,
 )
-from torchrl_atr.envs.profiles import Readings
 
 Matrix = tuple[tuple[float, ...], tuple[float, ...]]
 
@@ -204,7 +204,7 @@ class TransporterSpec:
             total += mass * (own + np.array([1.0, 0.0, 1.0]) * (board.offset * self.size[1]) ** 2)
         return float(total[0]), float(total[1]), float(total[2])
 
-    def springs(self, readings: Readings) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def springs(self, readings: Interpretation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Nominal self-balancing stiffness and damping in Table II's order, N m/rad and N m s/rad, (2,) each (A12)."""
         unit = readings.sb_unit * (self.spring_scale if readings.scaled_springs else 1.0)
         return unit * np.array(self.sb_stiffness), unit * np.array(self.sb_damping)

@@ -9,9 +9,9 @@ from typing import Any
 from tensordict import NestedKey
 from torch import Tensor
 
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks.sensor_errors import GroupErrors
 
 
@@ -40,7 +40,7 @@ class StepContext:
     previous_action: Tensor
     terminated: Tensor
     scene: Scene
-    readings: Readings = field(default_factory=Readings)
+    readings: Interpretation = field(default_factory=Interpretation)
     memory: Mapping[str, Tensor] = field(default_factory=dict)
     observations: Mapping[NestedKey, Mapping[str, Any]] = field(default_factory=dict)
     errors: Mapping[NestedKey, GroupErrors] = field(default_factory=dict)

@@ -153,9 +153,9 @@ def _filtered(c: StepContext, key: str) -> Tensor:
 
 class _Method(NamedTuple):
     size: int
-    update: Callable[[StepContext, str], Tensor]
+    update: Callable[..., Tensor]
     start: Callable[[StepContext], Tensor]
-    observe: Callable[[StepContext, str], Tensor]
+    observe: Callable[..., Tensor]
     mirror: tuple[float, ...]
     parts: tuple[str, ...]
 
@@ -183,7 +183,7 @@ def dead_reckoning(method: str = "kalman_filter", key: str = KEY) -> tuple[Group
         >>> task, (group, memory) = riding(), dead_reckoning("integral", "drifting")
         >>> task = task.replace(memory={**task.memory, "drifting": memory}).with_observation("drifting", **group)
     """
-    check_choice("dead_reckoning", method, tuple(METHODS))
+    check_choice("velocity_filter", method, tuple(METHODS))
     chosen = METHODS[method]
     term = ObservationTerm(partial(chosen.observe, key=key), chosen.mirror, parts=chosen.parts, unit="m/s")
     return {key: term}, MemoryTerm(chosen.size, partial(chosen.update, key=key), chosen.start)

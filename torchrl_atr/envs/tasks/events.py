@@ -9,8 +9,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchrl_atr._checks import check_number
+from torchrl_atr._checks import check_flag, check_number
 from torchrl_atr._errors import InputError
+from torchrl_atr._settings import Settings, setting
 from torchrl_atr.envs.models.scene import STAND, Scene, columns
 from torchrl_atr.envs.physics.engine import CONTROL_DT, Engine
 from torchrl_atr.envs.tasks.context import StepContext
@@ -19,10 +20,6 @@ HEIGHT_SPREAD = 0.02
 """How far above the stand robots start at most, m."""
 JOINT_SPREAD = 0.05
 """How far from q0 joints start at most, rad."""
-ROBOT_PUSH = 0.5
-"""Largest change of the robot's velocity along x and y, m/s (A33)."""
-PUSH_INTERVAL = 3.0
-"""Seconds between pushes."""
 Termination = Callable[[StepContext], Tensor]
 """Which robots' episodes end early, (N,) bool; the context's ``terminated`` says nothing yet."""
 
@@ -76,15 +73,47 @@ class Disturbance:
         return round(self.interval / CONTROL_DT)
 
 
+@dataclass(frozen=True)
+class Pushes(Settings):
+    """How hard and how often robot and transporter are pushed (A33); each push is uniform up to its size.
+
+    Example:
+        >>> Pushes(interval=4.0, robot=1.0).yaw_rate
+        0.25
+    """
+
+    group = "task.pushes"
+
+    interval: float = setting(3.0, within=(0, 1e6), unit="s")
+    """Time between two pushes; 0 for none."""
+    robot: float = setting(0.5, within=(0, 100), unit="m/s")
+    """Largest change of the robot's velocity along x and y."""
+    speed: float = setting(0.5, within=(0, 100), unit="m/s")
+    """Largest change of the transporter's forward speed."""
+    yaw_rate: float = setting(0.25, within=(0, 100), unit="rad/s")
+    """Largest change of its yaw rate."""
+
+    @staticmethod
+    def of(pushes: Pushes | bool) -> Pushes | None:
+        """Return what a task's argument ``pushes`` means: True for the defaults, None for no pushes.
+
+        Raises:
+            InputError: for a value of another kind.
+        """
+        if not isinstance(pushes, Pushes):
+            pushes = Pushes() if check_flag("pushes", pushes) else Pushes(interval=0.0)
+        return pushes if pushes.interval > 0 else None
+
+
 def uniform(n: int, columns: int, generator: torch.Generator) -> Tensor:
     """Return n draws from [-1, 1), (n, columns) float64."""
     return torch.rand(n, columns, generator=generator, dtype=torch.float64).mul(2.0).sub(1.0)
 
 
-def push_robot(engine: Engine, rows: Tensor, generator: torch.Generator) -> None:
-    """Change the robots' horizontal velocity by up to :data:`ROBOT_PUSH` along x and y."""
+def push_robot(engine: Engine, rows: Tensor, generator: torch.Generator, pushes: Pushes = Pushes()) -> None:
+    """Change the robots' horizontal velocity along x and y."""
     root = engine.scene.layout.root_dof
-    engine.qvel[rows, root : root + 2] += ROBOT_PUSH * uniform(len(rows), 2, generator)
+    engine.qvel[rows, root : root + 2] += pushes.robot * uniform(len(rows), 2, generator)
 
 
 def stand(scene: Scene, command: Tensor, generator: torch.Generator) -> InitialState:

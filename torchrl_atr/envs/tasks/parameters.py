@@ -2,19 +2,46 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
+from typing import Any
 
 from torch import Tensor
 
+from torchrl_atr._checks import check_pair
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene, columns
 from torchrl_atr.envs.physics.engine import ModelFields
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.intrinsic_parameters import Apply, IntrinsicParameter
 
 TABLE_II_KP, TABLE_II_KD = 40.0, 1.0
 """Midpoints of Table II's ranges, N m/rad and N m s/rad, for every robot if A13 is read literally."""
+
+
+Gains = tuple[float, float]
+"""Nominal stiffness, N m/rad, and damping, N m s/rad, of every joint's PD controller; 0 for the robot's own."""
+
+
+def with_gains(robot: RobotSpec, gains: Gains | None) -> RobotSpec:
+    """Return a robot with other nominal PD gains.
+
+    Raises:
+        InputError: unless they are two numbers, 0 or more.
+
+    Example:
+        >>> from torchrl_atr.envs.models import ROBOTS
+        >>> with_gains(ROBOTS.get("a1"), (60.0, 0.0)).kp
+        60.0
+    """
+    kp, kd = (0.0, 0.0) if gains is None else check_pair("gains", gains, "two numbers (kp, kd)", positive=False)
+    return dataclasses.replace(robot, kp=kp or robot.kp, kd=kd or robot.kd) if kp or kd else robot
+
+
+def gain_arguments(gains: Gains | None) -> dict[str, Any]:
+    """Return what a task's ``arguments`` remember of other gains: nothing of the robot's own."""
+    return {} if gains is None or not any(gains) else {"gains": list(gains)}
 
 
 def payload(fields: ModelFields, value: Tensor, scene: Scene) -> None:
@@ -57,7 +84,7 @@ def scaled(function: Apply, unit: float | Tensor, fields: ModelFields, value: Te
     function(fields, value * unit, scene)
 
 
-def robot_parameters(robot: RobotSpec, readings: Readings) -> dict[str, IntrinsicParameter]:
+def robot_parameters(robot: RobotSpec, readings: Interpretation) -> dict[str, IntrinsicParameter]:
     """Return Table II's rows that are about the robot and its feet, by name in its order.
 
     Args:

@@ -11,11 +11,11 @@ from tensordict import NestedKey
 
 from torchrl_atr._checks import check_kind
 from torchrl_atr._registry import nearest
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.support import Support
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.physics.hook import SubstepHook
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks.events import Disturbance, Reset, Termination, stand
 from torchrl_atr.envs.tasks.intrinsic_parameters import IntrinsicParameter
 from torchrl_atr.envs.tasks.memory_terms import MemoryTerm
@@ -115,7 +115,7 @@ class Task:
     tracking: Sequence[str] = ()
     state_reader: type[StateReader] = StateReader
     hook: Callable[[Engine], SubstepHook] | None = None
-    readings: Readings = field(default_factory=Readings)
+    readings: Interpretation = field(default_factory=Interpretation)
     reward_schedule: Mapping[str, Callable[[float], float]] = field(default_factory=dict)
     arguments: Mapping[str, Any] = field(default_factory=dict)
 

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from torchrl_atr._errors import InputError
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.models.support import Support
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks.events import Disturbance, InitialState
 from torchrl_atr.envs.tasks.state import StateReader
 
@@ -30,7 +30,7 @@ _KINDS: dict[str, tuple[Any, str]] = {
     "disturbances": (Mapping, "a mapping of names to Disturbance"),
     "memory": (Mapping, "a mapping of names to MemoryTerm"),
     "tracking": ((list, tuple), "a list of names of reward terms"),
-    "readings": (Readings, "Readings, such as get_readings('default')"),
+    "readings": (Interpretation, "Interpretation, such as get_interpretation('default')"),
     "reward_schedule": (Mapping, "a mapping of names of reward terms to functions"),
     "arguments": (Mapping, "a mapping of names to plain values"),
 }

@@ -1,6 +1,6 @@
 """The grid over the command space and the pure rule that grows it (the paper's "Curriculum Strategy").
 
-Readings A2 to A5: the printed ``max(P + delta, 1)`` is a cap, ``min(w + delta, 1)``, on
+Questions A2 to A5: the printed ``max(P + delta, 1)`` is a cap, ``min(w + delta, 1)``, on
 unnormalised weights in [0, 1]; a cell is drawn with probability proportional to its weight.
 """
 

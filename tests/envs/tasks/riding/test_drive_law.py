@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import TRANSPORTERS
 from torchrl_atr.envs.models.drives import tilt_drive
-from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.tasks.riding.drive_law import DriveLaw, resistance
 
 DECK = TRANSPORTERS.get("single_board_g1")
@@ -17,14 +17,14 @@ DT = 0.005
 
 def law(**readings: object) -> DriveLaw:
     """The default law with the jump of sgn(x) in the resistance, but for the given readings."""
-    return DriveLaw(DECK, get_readings("default", **{"coulomb_smoothing": 0.0, **readings}))
+    return DriveLaw(DECK, get_interpretation("default", **{"coulomb_smoothing": 0.0, **readings}))
 
 
 def doubles(values) -> torch.Tensor:
     return torch.as_tensor(values, dtype=torch.float64)
 
 
-def drive(tilt, readings: Readings) -> torch.Tensor:
+def drive(tilt, readings: Interpretation) -> torch.Tensor:
     """Propulsion of the board at rest at these (pitch, roll)."""
     tilt = doubles(tilt)
     return tilt_drive(tilt, torch.zeros_like(tilt), DECK, readings)
@@ -65,7 +65,7 @@ def test_steady_yaw_rate_has_the_sign_of_eq_3(pitch, roll):
 
 def test_drive_peaks_at_twelve_and_three_and_saturates():
     for tilt in (0.78, 1.2):
-        forward, yaw = drive([[tilt, -tilt]], Readings()).T
+        forward, yaw = drive([[tilt, -tilt]], Interpretation()).T
         assert (forward[0], yaw[0]) == pytest.approx((12.0, 3.0))
 
 
@@ -75,7 +75,7 @@ def test_from_rest_the_net_peaks_are_eleven_point_eight_and_two_point_eight():
 
 @pytest.mark.parametrize("angle", [0.3, -0.1, 1.0])
 def test_two_boards_at_one_angle_drive_like_a_single_board_at_that_pitch(angle):
-    two = DriveLaw(TRANSPORTERS.get("two_board_g1"), get_readings("default", coulomb_smoothing=0.0))
+    two = DriveLaw(TRANSPORTERS.get("two_board_g1"), get_interpretation("default", coulomb_smoothing=0.0))
     np.testing.assert_allclose(two.mass_scale(doubles([11.0])), law().mass_scale(doubles([11.0])))
     np.testing.assert_allclose(
         run(two, (angle, angle), (0.4, -0.2), 3), run(law(), (angle, 0.0), (0.4, -0.2), 3), rtol=1e-12
@@ -84,13 +84,13 @@ def test_two_boards_at_one_angle_drive_like_a_single_board_at_that_pitch(angle):
 
 def test_two_boards_steer_by_half_their_difference():
     """θ_avg = 0.2, θ_dif = (θ_R - θ_L) / 2 = 0.1: α = -3 · 0.1 / 0.78 - R, so the right board nose down turns right."""
-    two = DriveLaw(TRANSPORTERS.get("two_board_g1"), get_readings("default", coulomb_smoothing=0.0))
+    two = DriveLaw(TRANSPORTERS.get("two_board_g1"), get_interpretation("default", coulomb_smoothing=0.0))
     speed, yaw_rate = run(two, (0.3, 0.1), (0.0, 0.0), 1) / DT
     assert (speed, yaw_rate) == pytest.approx((12 * 0.2 / 0.78 - 0.2, -3 * 0.1 / 0.78 + 0.2))
 
 
 def test_sign_of_zero_pitch_is_one():
-    assert drive([[0.0, -0.78]], Readings())[0, 1].item() == pytest.approx(3.0)
+    assert drive([[0.0, -0.78]], Interpretation())[0, 1].item() == pytest.approx(3.0)
 
 
 def test_mirrored_tilts_and_speeds_mirror_the_motion():
@@ -104,14 +104,14 @@ def test_mirrored_tilts_and_speeds_mirror_the_motion():
 
 def test_resistance_is_odd_by_default_and_even_as_printed():
     x = torch.linspace(0.1, 15.0, 40, dtype=torch.float64)
-    odd, literal = Readings(coulomb_smoothing=0.0), get_readings("literal")
+    odd, literal = Interpretation(coulomb_smoothing=0.0), get_interpretation("literal")
     np.testing.assert_allclose(resistance(x, DECK.resistance, odd), 0.2 + 0.05 * x + 0.005 * x * x)
     np.testing.assert_allclose(resistance(-x, DECK.resistance, odd), -resistance(x, DECK.resistance, odd))
     np.testing.assert_allclose(resistance(-x, DECK.resistance, literal), 0.2 - 0.05 * x + 0.005 * x * x)
 
 
 def test_literal_resistance_pushes_backwards_at_rest():
-    model = DriveLaw(DECK, get_readings("literal"))
+    model = DriveLaw(DECK, get_interpretation("literal"))
     assert run(model, (0.0, 0.0), (0.0, 0.0), 1)[0] == pytest.approx(-0.2 * DT / DECK.mass)
 
 
@@ -133,25 +133,25 @@ def test_stiction_holds_the_deck_below_its_threshold_and_lets_go_above():
 
 
 def test_smoothed_coulomb_term_grows_from_zero():
-    readings = Readings(coulomb_smoothing=0.5)
+    readings = Interpretation(coulomb_smoothing=0.5)
     assert resistance(torch.zeros(1), DECK.resistance, readings)[0] == 0.0
     expected = np.tanh(1.0 / 0.5) * 0.255
     assert resistance(torch.ones(1), DECK.resistance, readings).item() == pytest.approx(expected)
 
 
 def test_smoothed_steering_sign_vanishes_at_zero_pitch():
-    yaw = drive([[0.0, -0.78], [0.05, -0.78]], Readings(steering_smoothing=0.05))[:, 1]
+    yaw = drive([[0.0, -0.78], [0.05, -0.78]], Interpretation(steering_smoothing=0.05))[:, 1]
     assert yaw.tolist() == pytest.approx([0.0, 3.0 * np.tanh(1.0)])
 
 
 def test_mass_is_relative_to_nominal_or_printed():
     masses = doubles([DECK.mass, 2 * DECK.mass])
     np.testing.assert_allclose(law().mass_scale(masses), [[1.0, 1.0], [0.5, 0.5]])
-    printed = DriveLaw(DECK, get_readings("literal")).mass_scale(masses)
+    printed = DriveLaw(DECK, get_interpretation("literal")).mass_scale(masses)
     inertia = 11.5 * (0.9**2 + 0.7**2) / 12
     np.testing.assert_allclose(printed, [[1 / 11.5, 1 / inertia], [0.5 / 11.5, 0.5 / inertia]])
 
 
 def test_as_printed_the_nominal_deck_peaks_near_one():
-    model = DriveLaw(DECK, get_readings("literal"))
+    model = DriveLaw(DECK, get_interpretation("literal"))
     assert run(model, (0.78, 0.0), (0.0, 0.0), 1)[0] / DT == pytest.approx((12.0 - 0.2) / 11.5)

@@ -8,10 +8,10 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, Scene
 from torchrl_atr.envs.models.scene import TIMESTEP
 from torchrl_atr.envs.physics import ModelFields
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks.intrinsic_parameters import Intrinsics
 from torchrl_atr.envs.tasks.riding.intrinsics import riding_intrinsics
@@ -33,7 +33,7 @@ RANGES = {
 
 @pytest.fixture(scope="module")
 def intrinsics(scene):
-    parameters = riding_intrinsics(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"), Readings())
+    parameters = riding_intrinsics(ROBOTS.get("a1"), TRANSPORTERS.get("single_board_g1"), Interpretation())
     return Intrinsics(parameters, scene)
 
 

@@ -8,8 +8,8 @@ import pytest
 import torch
 from torch import Tensor
 
+from torchrl_atr.envs.interpretation import get_interpretation
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.envs.profiles import get_readings
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks.proprioception import body_acceleration
 
@@ -169,10 +169,10 @@ def test_contacts_and_forces_are_those_on_the_feet():
 
 def test_an_imu_also_feels_gravity(make_context):
     def felt_in(profile: str) -> Tensor:
-        return body_acceleration(make_context(euler=[0.0, 0.5, 1.0], readings=get_readings(profile)))[0]
+        return body_acceleration(make_context(euler=[0.0, 0.5, 1.0], readings=get_interpretation(profile)))[0]
 
     assert felt_in("default").abs().max() == 0.0
-    felt = felt_in("ancestor")
+    felt = felt_in("legged_gym")
     # pitched nose down by 0.5: the upward reaction has a component against the nose
     np.testing.assert_allclose(felt, [-9.81 * np.sin(0.5), 0.0, 9.81 * np.cos(0.5)], atol=1e-5)
 
@@ -183,7 +183,7 @@ def test_relative_yaw_is_the_short_way_round(make_state):
 
 
 def test_dead_reckoning_from_rest_knows_the_bodys_velocity():
-    env = RidingEnv(num_envs=16, seed=0, num_threads=1, dead_reckoning="integral")  # an accelerometer feels pushes
+    env = RidingEnv(num_envs=16, seed=0, num_threads=1, velocity_filter="integral")  # an accelerometer feels pushes
     td, generator = env.reset(), torch.Generator().manual_seed(0)
     assert td["dead_reckoned_velocity"].abs().max() == 0.0
     up = torch.ones(16, dtype=torch.bool)
@@ -198,7 +198,7 @@ def test_dead_reckoning_from_rest_knows_the_bodys_velocity():
 
 
 def test_a_moving_start_knows_its_velocity():
-    env = RidingEnv(num_envs=8, seed=0, num_threads=1, moving_start=1.0, dead_reckoning="integral")
+    env = RidingEnv(num_envs=8, seed=0, num_threads=1, moving_start=1.0, velocity_filter="integral")
     td = env.reset(env.full_state_spec.zero().set("command", torch.tensor([[2.0, 0.5]]).expand(8, 2).clone()))
     torch.testing.assert_close(td["dead_reckoned_velocity"], td["privileged", "extrinsic"][:, 4:7])
     assert td["dead_reckoned_velocity"].abs().amax(0)[0] > 0.5

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from torchrl_atr.envs import RidingEnv
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import (
     Board,
     Design,
@@ -16,7 +17,6 @@ from torchrl_atr.envs.models import (
     TransporterSpec,
     read_transporter,
 )
-from torchrl_atr.envs.profiles import Readings
 
 
 def test_it_turns_by_roll_and_speed_as_its_trucks_do(skateboard):
@@ -68,5 +68,5 @@ def test_a_design_that_is_none_is_named(change, message):
 def test_its_drive_is_a_function_of_tilt_and_speeds(skateboard):
     spec = TransporterSpec("s", skateboard.SKATEBOARD, (0.9, 0.5, 0.05), 5.0)
     tilt, speeds = torch.tensor([[0.0, -0.2]], dtype=torch.float64), torch.tensor([[2.0, 0.1]], dtype=torch.float64)
-    push = skateboard.skate(tilt, speeds, spec, Readings())
+    push = skateboard.skate(tilt, speeds, spec, Interpretation())
     assert push[0].tolist() == pytest.approx([0.0, (2.0 * math.tan(0.16) / 0.6 - 0.1) / 0.1])

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from torchrl_atr._checks import check_flag, check_number
+from torchrl_atr._checks import check_number
+from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import RobotSpec, Transporter, TransporterSpec, get_robot, get_transporter
 from torchrl_atr.envs.models.robot_file import describe_robot
 from torchrl_atr.envs.models.transporter import describe_transporter
-from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.tasks import mirrors
-from torchrl_atr.envs.tasks.dead_reckoning import KEY
-from torchrl_atr.envs.tasks.dead_reckoning import dead_reckoning as dead_reckoning_of
-from torchrl_atr.envs.tasks.events import PUSH_INTERVAL, Disturbance
+from torchrl_atr.envs.tasks.dead_reckoning import KEY, dead_reckoning
+from torchrl_atr.envs.tasks.events import Disturbance, Pushes
+from torchrl_atr.envs.tasks.parameters import Gains, gain_arguments, with_gains
 from torchrl_atr.envs.tasks.proprioception import PROPRIO
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
 from torchrl_atr.envs.tasks.riding.drive_law import DriveHook
@@ -44,10 +44,11 @@ def riding(
     robot: str | Path | RobotSpec = "a1",
     transporter: str | Path | TransporterSpec = "single_board",
     *,
-    profile: str | Readings = "default",
+    profile: str | Interpretation = "default",
     sensors: str | SensorSet = "ideal",
-    dead_reckoning: str = "kalman_filter",
-    pushes: bool = True,
+    velocity_filter: str = "kalman_filter",
+    pushes: bool | Pushes = True,
+    gains: Gains | None = None,
     moving_start: float = 0.0,
     displaced_start: float = 0.0,
     rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
@@ -61,11 +62,12 @@ def riding(
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
         transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, path of a
             ``.toml`` file that describes one, or a spec.
-        profile: name of a profile, or :class:`~torchrl_atr.envs.profiles.Readings`.
+        profile: name of a profile, or :class:`~torchrl_atr.envs.interpretation.Interpretation`.
         sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or one of your own.
-        dead_reckoning: how ``dead_reckoned_velocity`` is computed, a name of
+        velocity_filter: how ``dead_reckoned_velocity`` is computed, a name of
             :data:`~torchrl_atr.envs.tasks.dead_reckoning.METHODS`.
-        pushes: whether robot and platform are pushed every 3 s.
+        pushes: whether robot and platform are pushed, every 3 s, or how.
+        gains: nominal PD gains, see :data:`~torchrl_atr.envs.tasks.parameters.Gains`; None for the robot's own.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
             pushes (for training).
@@ -85,12 +87,12 @@ def riding(
         >>> task.name, task.rewards["heading_alignment"].weight
         ('riding', -4.0)
     """
-    check_flag("pushes", pushes)
+    pushed = Pushes.of(pushes)
     moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
     displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
-    dead_reckoned, velocity = dead_reckoning_of(dead_reckoning)
-    readings = get_readings(profile)
-    rider = get_robot(robot)
+    dead_reckoned, velocity = dead_reckoning(velocity_filter)
+    readings = get_interpretation(profile)
+    rider = with_gains(get_robot(robot), gains)
     spec = get_transporter(transporter, rider)
     return Task(
         name="riding",
@@ -102,14 +104,14 @@ def riding(
         intrinsics=riding_intrinsics(rider, spec, readings),
         terminations=TERMINATIONS,
         reset=start(moving_start, displaced_start),
-        disturbances={"push": Disturbance(push, PUSH_INTERVAL)} if pushes else {},
+        disturbances={} if pushed is None else {"push": Disturbance(partial(push, pushes=pushed), pushed.interval)},
         memory={KEY: velocity},
         tracking=("forward_command", "steering_command"),
         state_reader=RidingStateReader,
         hook=DriveHook,
         readings=readings,
         reward_schedule=_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),
-        arguments={"robot": describe_robot(robot), "transporter": describe_transporter(spec)},
+        arguments={"robot": describe_robot(robot), "transporter": describe_transporter(spec), **gain_arguments(gains)},
     )
 
 

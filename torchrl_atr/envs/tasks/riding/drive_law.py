@@ -10,15 +10,15 @@ from torch import Tensor
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._threads import one_torch_thread
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.boards import TransporterLayout
 from torchrl_atr.envs.models.scene import TIMESTEP, columns
 from torchrl_atr.envs.models.transporter import Matrix, TransporterSpec
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.physics.hook import SubstepHook
-from torchrl_atr.envs.profiles import Readings
 
 
-def resistance(x: Tensor, coefficients: tuple[float, float, float], readings: Readings) -> Tensor:
+def resistance(x: Tensor, coefficients: tuple[float, float, float], readings: Interpretation) -> Tensor:
     """Compute the generalised resistance R(x) = c0 + c1 x + c2 x², signed (question A10).
 
     Args:
@@ -30,7 +30,7 @@ def resistance(x: Tensor, coefficients: tuple[float, float, float], readings: Re
         R(x), same shape as ``x``; to be subtracted from the drive.
 
     Example:
-        >>> round(float(resistance(torch.tensor(-1.0), (0.2, 0.05, 0.005), Readings(coulomb_smoothing=0.0))), 3)
+        >>> round(float(resistance(torch.tensor(-1.0), (0.2, 0.05, 0.005), Interpretation(coulomb_smoothing=0.0))), 3)
         -0.255
     """
     c0, c1, c2 = coefficients
@@ -43,7 +43,12 @@ def resistance(x: Tensor, coefficients: tuple[float, float, float], readings: Re
 
 
 def advance(
-    x: Tensor, push: Tensor, coefficients: tuple[float, float, float], scale: Tensor, dt: float, readings: Readings
+    x: Tensor,
+    push: Tensor,
+    coefficients: tuple[float, float, float],
+    scale: Tensor,
+    dt: float,
+    readings: Interpretation,
 ) -> Tensor:
     """Compute the speed after ``dt`` under ẋ = scale (push - R(x)).
 
@@ -107,7 +112,7 @@ class DriveLaw:
 
     Example:
         >>> from torchrl_atr.envs.models import TRANSPORTERS
-        >>> law = DriveLaw(TRANSPORTERS.get("single_board_g1"), Readings(coulomb_smoothing=0.0))
+        >>> law = DriveLaw(TRANSPORTERS.get("single_board_g1"), Interpretation(coulomb_smoothing=0.0))
         >>> rest, tilt = torch.zeros(1, 2, dtype=torch.float64), torch.tensor([[0.78, 0.0]], dtype=torch.float64)
         >>> speed = law(rest, tilt, torch.ones(1, 2, dtype=torch.float64), dt=0.005)
         >>> torch.allclose(speed, torch.tensor([[0.005 * (12 - 0.2), 0.0]], dtype=torch.float64))
@@ -115,7 +120,7 @@ class DriveLaw:
     """
 
     transporter: TransporterSpec
-    readings: Readings
+    readings: Interpretation
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_driving", combination(self.transporter.design.driving, torch.float64))

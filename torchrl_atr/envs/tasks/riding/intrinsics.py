@@ -8,11 +8,11 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.models.transporter import Board, TransporterError, TransporterSpec
 from torchrl_atr.envs.physics.engine import ModelFields
-from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks.intrinsic_parameters import IntrinsicParameter
 from torchrl_atr.envs.tasks.parameters import robot_parameters, scale_body, scaled
 
@@ -21,7 +21,7 @@ _MIN_MASS_SHARE = 0.1
 
 
 def riding_intrinsics(
-    robot: RobotSpec, transporter: TransporterSpec, readings: Readings
+    robot: RobotSpec, transporter: TransporterSpec, readings: Interpretation
 ) -> dict[str, IntrinsicParameter]:
     """Return Table II by name in its order; the self-balancing gains are ratios of their ranges' midpoints.
 

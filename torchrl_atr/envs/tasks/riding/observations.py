@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from tensordict import NestedKey
 from torch import Tensor
 
-from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.dead_reckoning import KEY
@@ -47,12 +47,12 @@ EXTRINSIC: Group = {
 """x_ext = [c, v_B, v_P, ω_P, p_B,xy in P, θ_B,z in P] by component (Table V's order)."""
 
 
-def extrinsic(readings: Readings) -> dict[str, ObservationTerm]:
+def extrinsic(readings: Interpretation) -> dict[str, ObservationTerm]:
     """Return x_ext's components: all of :data:`EXTRINSIC`, or without the relative pose (A1)."""
     return {name: term for name, term in EXTRINSIC.items() if readings.relative_pose or "relative" not in name}
 
 
-def observations(readings: Readings, proprio: Group, dead_reckoned: Group) -> Mapping[NestedKey, Group]:
+def observations(readings: Interpretation, proprio: Group, dead_reckoned: Group) -> Mapping[NestedKey, Group]:
     """Return the groups of what a rider and its critic observe.
 
     Args:

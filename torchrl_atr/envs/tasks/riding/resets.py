@@ -12,8 +12,8 @@ from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.events import (
-    ROBOT_PUSH,
     InitialState,
+    Pushes,
     Reset,
     Termination,
     stand,
@@ -22,28 +22,27 @@ from torchrl_atr.envs.tasks.events import (
     uniform,
 )
 
-PLATFORM_PUSH = (0.5, 0.25)
-"""Largest change of the platform's forward speed (m/s) and yaw rate (rad/s) (A33)."""
-
-
 DISPLACEMENT = (0.1, 0.06)
 """How far ahead and to the side of the middle a displaced robot starts at most, m."""
 TURN = 0.2
 """How far it is turned at most, rad."""
 
 
-def push(engine: Engine, rows: Tensor, generator: torch.Generator) -> None:
+def push(engine: Engine, rows: Tensor, generator: torch.Generator, pushes: Pushes = Pushes()) -> None:
     """Kick ``rows``: the robot in the plane, the platform through the drive law's state.
 
     Args:
         engine: whose ``qvel`` and hook's ``speeds`` change.
         rows: (n,) integers.
         generator: source of randomness.
+        pushes: their sizes.
     """
     draw = uniform(len(rows), 4, generator)
     root = engine.scene.layout.root_dof
-    engine.qvel[rows, root : root + 2] += ROBOT_PUSH * draw[:, :2]
-    engine.hook.state["speeds"][rows] += torch.tensor(PLATFORM_PUSH, dtype=torch.float64) * draw[:, 2:]
+    engine.qvel[rows, root : root + 2] += pushes.robot * draw[:, :2]
+    engine.hook.state["speeds"][rows] += (
+        torch.tensor([pushes.speed, pushes.yaw_rate], dtype=torch.float64) * draw[:, 2:]
+    )
 
 
 def start(moving: float = 0.0, displaced: float = 0.0) -> Reset:

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor, cat
 
-from torchrl_atr._checks import check_flag, check_kind, check_number
+from torchrl_atr._checks import check_kind, check_number
+from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import LEGS, FlatGround, RobotSpec, get_robot
 from torchrl_atr.envs.models.robot_file import describe_robot
-from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.dead_reckoning import KEY, dead_reckoning
-from torchrl_atr.envs.tasks.events import PUSH_INTERVAL, Disturbance, push_robot, tilted, too_low
+from torchrl_atr.envs.tasks.events import Disturbance, Pushes, push_robot, tilted, too_low
 from torchrl_atr.envs.tasks.observation_terms import ObservationTerm
-from torchrl_atr.envs.tasks.parameters import robot_parameters
+from torchrl_atr.envs.tasks.parameters import Gains, gain_arguments, robot_parameters, with_gains
 from torchrl_atr.envs.tasks.proprioception import BODY, PROPRIO, SPEEDS
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
 from torchrl_atr.envs.tasks.sensors import SensorSet, with_sensors
@@ -36,9 +37,10 @@ MAX_SPEED = {"G1": 1.5, "G2": 3.0}
 def walking(
     robot: str | Path | RobotSpec = "a1",
     *,
-    profile: str | Readings = "default",
+    profile: str | Interpretation = "default",
     sensors: str | SensorSet = "ideal",
-    pushes: bool = True,
+    pushes: bool | Pushes = True,
+    gains: Gains | None = None,
     max_speed: float | None = None,
     rewards: Mapping[str, RewardTerm] = WALKING_REWARDS,
 ) -> Task:
@@ -46,9 +48,10 @@ def walking(
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
-        profile: name of a profile, or :class:`~torchrl_atr.envs.profiles.Readings`.
+        profile: name of a profile, or :class:`~torchrl_atr.envs.interpretation.Interpretation`.
         sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or one of your own.
-        pushes: whether the robot is pushed every 3 s.
+        pushes: whether the robot is pushed, every 3 s, or how.
+        gains: nominal PD gains, see :data:`~torchrl_atr.envs.tasks.parameters.Gains`; None for the robot's own.
         max_speed: largest commanded speed, m/s; None for 1.5 or, of large robots, 3.
         rewards: the terms of the reward by name.
 
@@ -60,16 +63,16 @@ def walking(
         >>> task.name, task.command.grid.bounds
         ('walking', (1.5, 1.0))
     """
-    check_flag("pushes", pushes)
+    pushed = Pushes.of(pushes)
     check_kind("rewards", rewards, Mapping, "a mapping of names to RewardTerm")
-    readings, walker = get_readings(profile), get_robot(robot)
+    readings, walker = get_interpretation(profile), with_gains(get_robot(robot), gains)
     speed = MAX_SPEED[walker.group] if max_speed is None else check_number("max_speed", max_speed, above=0.0)
     bounds = (speed, 1.0)
     grid = CommandGrid(
         bounds, (0.25, 0.25), bounds, (0.25, 0.25), forward_only=True, still=0.1, turning=0.1, straight=0.15
     )
     dead_reckoned, integrated = dead_reckoning("integral")
-    arguments: dict[str, Any] = {"robot": describe_robot(robot)}
+    arguments: dict[str, Any] = {"robot": describe_robot(robot), **gain_arguments(gains)}
     return Task(
         name="walking",
         robot=walker,
@@ -89,7 +92,9 @@ def walking(
         rewards=rewards,
         intrinsics=robot_parameters(walker, readings),
         terminations={"tilted": tilted, "too_low": too_low},
-        disturbances={"push": Disturbance(push_robot, PUSH_INTERVAL)} if pushes else {},
+        disturbances={}
+        if pushed is None
+        else {"push": Disturbance(partial(push_robot, pushes=pushed), pushed.interval)},
         memory={KEY: integrated, **MEMORY},
         tracking=("forward_command", "turning_command"),
         state_reader=WalkingStateReader,

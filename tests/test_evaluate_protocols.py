@@ -1,0 +1,38 @@
+"""What ``evaluate`` asks for under each protocol."""
+
+from __future__ import annotations
+
+import pytest
+
+from torchrl_atr.cli.parser import build_parser
+from torchrl_atr.cli.protocols import fill_options
+from torchrl_atr.evaluation import command_grid
+
+
+def options(*words):
+    arguments = build_parser().parse_args(["evaluate", "run", *words])
+    fill_options(arguments)
+    return arguments
+
+
+def test_paper_asks_for_every_command_of_the_test_range():
+    asked = options("--protocol", "paper")
+    assert asked.randomization == "test"
+    speeds, yaw_rates = command_grid(asked.max_speed, asked.max_yaw_rate, asked.speed_step, asked.yaw_rate_step)
+    assert (len(speeds), len(yaw_rates), asked.robots_per_command) == (301, 41, 1)
+    assert (speeds[0], speeds[-1], yaw_rates[-1]) == pytest.approx((-15, 15, 2))
+
+
+def test_what_is_given_wins_over_the_protocol():
+    asked = options("--protocol", "paper", "--randomization", "off", "--speed-step", "3")
+    assert (asked.randomization, asked.speed_step, asked.max_yaw_rate) == ("off", 3.0, 2.0)
+
+
+def test_tracking_is_the_default():
+    asked = options()
+    assert (asked.protocol, asked.randomization, asked.max_yaw_rate, asked.robots_per_command) == (
+        "tracking",
+        "train",
+        1.0,
+        8,
+    )

@@ -1,0 +1,85 @@
+"""Named configurations, the settings of tasks that differ from riding's, and what is added to the paper's method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from torchrl_atr._registry import Registry
+from torchrl_atr._settings import Setting, settings
+from torchrl_atr.training.config import TrainConfig
+
+PRESETS: Registry[Mapping[str, Any]] = Registry("preset")
+"""By name, the settings that differ from the defaults; register your own.
+
+``default`` learns best on a laptop. ``paper`` is the paper's own method: nothing of :func:`additions`, the physics that
+makes its text true, and Extreme Parkour's hyper-parameters where it gives none. ``literal`` takes every formula as
+printed, ``legged_gym`` follows the code that the paper builds on; both without additions.
+"""
+for _name in ("default", "paper", "literal", "legged_gym"):
+    _values = {path: each.value_in(_name) for path, each in settings(TrainConfig).items()}
+    PRESETS.register(
+        _name, {path: value for path, value in _values.items() if value != settings(TrainConfig)[path].default}
+    )
+
+TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
+    "walking": {
+        "task.sensors": "ideal",
+        "task.moving_start": 0.0,
+        "task.displaced_start": 0.0,
+        "curriculum.max_speed": 0.0,
+        "curriculum.max_yaw_rate": 0.0,
+        "curriculum.initial_speed": 0.0,
+        "curriculum.initial_yaw_rate": 0.0,
+        "exploration.init_std": 0.8,
+        "exploration.relative_std": 0.8,
+        "exploration.min_std": 0.05,
+        "exploration.anneal_from": 0.35,
+        "exploration.anneal_until": 1.0,
+        "exploration.final_std": 0.12,
+        "exploration.noise_correlation": 0.0,
+        "ppo.rollout_steps": 24,
+        "ppo.gamma": 0.99,
+        "ppo.gae_lambda": 0.95,
+        "ppo.epochs": 3,
+        "ppo.learning_rate": 1e-3,
+        "ppo.max_learning_rate": 3e-3,
+        "ppo.entropy_coeff": 0.01,
+        "ppo.smoothness_coeff": 0.0,
+        "ppo.command_interaction": False,
+        "estimator.dead_reckoning": False,
+    },
+}
+"""Settings of tasks that differ from riding's; a task of your own may add its own."""
+
+
+class Addition(NamedTuple):
+    """What this package adds to the paper's method.
+
+    Attributes:
+        what: in a few words.
+        switch: the setting that turns it on and off.
+        off: its value in the preset ``paper``.
+        on: its value by default.
+        why: what it is, and why it is on by default.
+    """
+
+    what: str
+    switch: str
+    off: Any
+    on: Any
+    why: str
+
+
+def additions() -> list[Addition]:
+    """Return everything that is added to the paper's method, each with the setting that turns it off.
+
+    Example:
+        >>> [each.switch for each in additions() if each.what == "smoothness loss"]
+        ['ppo.smoothness_coeff']
+    """
+    return [_addition(each) for each in settings(TrainConfig).values() if each.addition]
+
+
+def _addition(each: Setting) -> Addition:
+    return Addition(each.addition, each.path, each.value_in("paper"), each.default, each.text)

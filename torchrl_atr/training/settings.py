@@ -1,0 +1,289 @@
+"""The settings of a run by group: every field says its range, its unit, what the paper has, and why it is as it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from torchrl_atr._settings import Settings, setting
+from torchrl_atr.envs.interpretation import Interpretation
+from torchrl_atr.envs.tasks.events import Pushes
+from torchrl_atr.envs.tasks.overrides import Ranges
+from torchrl_atr.envs.transforms import CommandGrid
+from torchrl_atr.modules import Source
+
+MAX_SPEED, MAX_YAW_RATE = CommandGrid().bounds
+"""The paper's largest command: m/s and rad/s."""
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class EnvConfig(Settings):
+    """How many robots are simulated, and what an episode is."""
+
+    group = "env"
+
+    num_envs: int = setting(512, within=(1, 1e6), alias="num-envs", paper=4096)
+    """Robots simulated at once. 512 robots of 12 steps learn as much from a frame as 256 of 24, and collect faster."""
+    episode_seconds: float = setting(20.0, within=(0.1, 1e6), unit="s", paper=10.0)
+    """Time limit of an episode. In 20 s commands change three times and pushes come six times, as in a long ride."""
+    history_length: int = setting(10, within=(1, 1000))
+    """H, control steps of history that the estimators read. 0.2 s, as in the paper."""
+    staggered_starts: bool = setting(True, off=False, addition="episodes out of step")
+    """Let first episodes end at different times. Otherwise every batch holds the same twentieth of all episodes, and
+    figures swing."""
+    overspeed_margin: tuple[float, ...] = setting(
+        (2.0, 2.0), within=(_TINY, 1e6), off=(), addition="termination of boards that run away"
+    )
+    """How much faster than any command (m/s, rad/s) a transporter may get before its episode ends; empty for no such
+    limit. A board that ran away is where tracking rewards have no slope."""
+    failed_episode_replay: float = setting(0.5, within=(0, 1), off=0.0, addition="failed-episode replay")
+    """Share of the falls after which the same robot tries again. Robots that are hard to keep up have short episodes
+    and are hardly seen."""
+
+
+@dataclass(frozen=True)
+class TaskConfig(Settings):
+    """What is learned, by whom, and how the paper's open questions about it are answered.
+
+    A field of the name of an argument of the task's function is passed to it.
+    """
+
+    group = "task"
+
+    name: str = setting("riding", alias="task")
+    """A registered task: riding, walking, or one of your own."""
+    robot: str = setting("a1", alias="robot")
+    """A registered robot, or a .toml file that describes one."""
+    transporter: str = setting("single_board", alias="transporter")
+    """Riding only: a registered transporter, or a .toml file that describes one."""
+    sensors: str = setting("realistic", off="ideal", addition="sensor errors", alias="sensors")
+    """A registered sensor set: ideal, as the paper states no errors, or realistic, IMU and encoders as robots have."""
+    velocity_filter: str = setting("kalman_filter")
+    """Riding only: how the dead-reckoned velocity is computed: integral, leaky_integral or kalman_filter. Of these the
+    Kalman filter alone stays within 0.2 m/s for a minute with realistic sensors."""
+    kp: float = setting(0.0, within=(0, 1e5), unit="N m/rad")
+    """Nominal stiffness of the joints' PD controllers; 0 for the robot's own."""
+    kd: float = setting(0.0, within=(0, 1e5), unit="N m s/rad")
+    """Nominal damping of the joints' PD controllers; 0 for the robot's own."""
+    moving_start: float = setting(0.5, within=(0, 1), off=0.0, addition="moving starts")
+    """Share of the episodes whose transporter starts at part of the commanded speeds. The yaw that a lean earns comes
+    seconds later: who starts in a turn feels at once that leaning keeps it."""
+    displaced_start: float = setting(0.3, within=(0, 1), off=0.0, addition="displaced starts")
+    """Share of the episodes whose robot starts shifted and turned on the boards, as after a minute of pushes."""
+    steering_weight_peak: float = setting(
+        3.0, within=(0, 100), off=1.0, addition="schedule of the steering reward's weight"
+    )
+    """Factor of r1 in what is learned from, at its peak: it rises from 1 until exploration.anneal_until of the run; 1
+    leaves it alone. A turn is paid late and through more noise than a speed."""
+    steering_weight_end: float = setting(2.0, within=(0, 100), off=1.0)
+    """What that factor sinks to from there until the run ends. Fewer fall at the end."""
+    rewards: dict[str, float] = setting({}, within=(-1e6, 1e6))
+    """Weights of reward terms, by name, in place of the task's own: `list rewards`."""
+    randomization: dict[str, Ranges] = setting({}, within=(-1e6, 1e6))
+    """Ranges of intrinsic parameters, by name, in place of the task's own."""
+    pushes: Pushes = field(default_factory=Pushes)
+    interpretation: Interpretation = field(default_factory=Interpretation)
+
+
+@dataclass(frozen=True)
+class CurriculumConfig(Settings):
+    """Which commands are asked for, how long each lasts, and when harder ones come."""
+
+    group = "curriculum"
+
+    command_seconds: float = setting(5.0, within=(0.1, 1e6), unit="s")
+    """How long a command lasts. As in the paper."""
+    tracking_threshold: float = setting(0.6, within=(0.01, 1), paper=0.8)
+    """Share γ_v = γ_ω of perfect tracking that lets the command grid grow. 0.8 was too slow for runs of an hour."""
+    score_from_seconds: float = setting(
+        1.0, within=(0, 1e6), question="A6", unit="s", off=0.0, addition="scores without the first second of a command"
+    )
+    """Part of a command's time that the score leaves out. Reaching a command takes time that says nothing about holding
+    it."""
+    count_own_twice: bool = setting(False, question="A4", legged_gym=True)
+    """Let a succeeding cell of the command grid grow twice. Open whether the own cell is part of the neighbourhood that
+    grows, or grows once more. Once; the code of rapid-locomotion-rl counts it twice."""
+    initial_speed: float = setting(1.0, within=(0, MAX_SPEED), unit="m/s", paper=0.5)
+    """Half width of the first command box; 0 for all of it. A wider first box, for runs of an hour."""
+    initial_yaw_rate: float = setting(0.3, within=(0, MAX_YAW_RATE), unit="rad/s", paper=0.3)
+    """Half width of the first command box; 0 for all of it. As in the paper."""
+    max_speed: float = setting(5.0, within=(0, MAX_SPEED), unit="m/s", off=0.0, addition="a box of commands")
+    """Half width of the box that commands never leave, a multiple of the task's bins (riding: 0.2); 0 for the task's
+    own. Runs of two hours do not learn faster commands."""
+    max_yaw_rate: float = setting(1.4, within=(0, MAX_YAW_RATE), unit="rad/s", off=0.0)
+    """Half width of the box that commands never leave, likewise."""
+
+
+@dataclass(frozen=True)
+class ExplorationConfig(Settings):
+    """How a Gaussian policy explores."""
+
+    group = "exploration"
+
+    leg_patterns: bool = setting(True, off=False, addition="exploration along patterns of the legs")
+    """Explore along what all legs do alike and against each other, with actor outputs that move these directions; else
+    joint by joint. Only what all legs do alike tilts a board; independent noise strains legs against each other."""
+    init_std: float = setting(0.3, within=(1e-3, 10), question="A21", legged_gym=1.0)
+    """Standard deviation at first, in units of the action; in a run that begins with another's networks, the ceiling at
+    first. legged_gym explores with 1: on a board, robots then fall within two seconds."""
+    relative_std: float = setting(0.1, within=(1e-3, 10), question="A21", legged_gym=1.0)
+    """Standard deviation of what legs do against each other, with leg_patterns. Legs that pull against each other tilt
+    nothing."""
+    min_std: float = setting(0.03, within=(0, 10), off=0.0, addition="a floor of the exploration")
+    """Floor of the standard deviations. They can grow again from there."""
+    noise_correlation: float = setting(0.9, within=(0, 0.999), question="A21", off=0.0, addition="noise that lasts")
+    """Correlation of the noise from one control step to the next. White noise at 50 Hz averages out before a board has
+    tilted; here a deviation lasts for some ten steps."""
+    anneal: bool = setting(True, question="A21", off=False, addition="annealed exploration and KL target")
+    """Lower a ceiling of the exploration, and ppo.target_kl to final_kl, late in the run. Noise hides which way the
+    board is tilted."""
+    anneal_from: float = setting(0.4, within=(0, 0.99))
+    """Share of the run after which the ceiling sinks geometrically from init_std. A policy that rides turns better with
+    less noise."""
+    anneal_until: float = setting(0.85, within=(0.01, 1))
+    """Share of the run from which on that ceiling is final_std."""
+    final_std: float = setting(0.06, within=(1e-3, 10))
+    """Ceiling of the standard deviations at the end. The sign of a board's pitch is lost in more."""
+
+
+@dataclass(frozen=True)
+class PPOConfig(Settings):
+    """PPO, and the networks of actor and critic.
+
+    The paper gives no hyper-parameters of PPO; the preset `paper` takes those of Extreme Parkour, which it builds on.
+    """
+
+    group = "ppo"
+
+    rollout_steps: int = setting(12, within=(2, 1e5), paper=24)
+    """Control steps per robot and iteration."""
+    gamma: float = setting(0.995, within=(0, 0.99999), paper=0.99)
+    """Discount. A turn is earned seconds after the lean."""
+    gae_lambda: float = setting(0.8, within=(0, 1), paper=0.95)
+    """GAE's λ. The lean that turns stands out of less noise than with 0.9 or 0.95."""
+    epochs: int = setting(2, within=(1, 1000), paper=5)
+    """Passes over a batch."""
+    minibatches: int = setting(4, within=(1, 1e5))
+    """Minibatches that each pass is cut into."""
+    learning_rate: float = setting(3e-4, within=(_TINY, 1), paper=2e-4)
+    """Learning rate of the policy at first; then adapted to the measured KL divergence. A run that begins with
+    another's networks begins at that one's last rate if it is lower."""
+    max_learning_rate: float = setting(2e-3, within=(_TINY, 1), paper=1e-2)
+    """Up to which the policy's learning rate is adapted."""
+    target_kl: float = setting(0.03, within=(_TINY, 10), paper=0.01)
+    """Divergence of an update that the rate is adapted to."""
+    final_kl: float = setting(0.01, within=(_TINY, 10))
+    """What target_kl sinks to with exploration.anneal. The policy settles."""
+    kl_stop: float = setting(5.0, within=(0, 1e6), off=0.0, addition="policy steps that stop at too large a divergence")
+    """Multiples of target_kl at which the rest of an iteration's policy steps is left out; 0 for never. A batch from
+    which the policy is that far has nothing more to say."""
+    critic_learning_rate: float = setting(1e-3, within=(_TINY, 1))
+    """Learning rate of the critic, fixed."""
+    clip_epsilon: float = setting(0.2, within=(_TINY, 1))
+    """Clip range of the importance ratio."""
+    entropy_coeff: float = setting(0.0, within=(0, 10), paper=0.01)
+    """Weight of the entropy bonus."""
+    max_grad_norm: float = setting(1.0, within=(_TINY, 1e9))
+    """Norm to which each optimiser's gradient is clipped."""
+    smoothness_coeff: float = setting(0.3, within=(0, 1e3), off=0.0, addition="smoothness loss")
+    """Pull of the mean action towards that of the step before. r11 and r12 weigh 1e-5 and 1e-7: nothing keeps a policy
+    from chattering at 50 Hz, which lifts feet off the board."""
+    ema_horizon: int = setting(100, within=(1, 1e6), off=1, addition="averaged weights")
+    """Iterations of the exponential moving average of the weights, which is what is deployed; 1 for the last weights.
+    Averaged weights follow a batch's noise less."""
+    symmetric: bool = setting(True, off=False, addition="left-right symmetric networks")
+    """Make encoder, actor and critic treat left and right alike by construction. Plain networks have to find out twice
+    what is right on the left and on the right."""
+    command_interaction: bool = setting(True, off=False, addition="product of the commands as an input")
+    """Let the actor also read tanh(c_v) c_ω. The lean that turns changes sign with the speed command (Eq. 3), an
+    exclusive-or that gradients find late."""
+    actor_cells: tuple[int, ...] = setting((512, 256, 128), within=(1, 1e5))
+    """Hidden widths of the actor. Table I."""
+    critic_cells: tuple[int, ...] = setting((256, 128, 64), within=(1, 1e5), paper=(512, 256, 128))
+    """Hidden widths of the critic. 38 % less arithmetic in a PPO pass than the actor's widths, for the same figures."""
+    privileged_critic: bool = setting(True, question="A20")
+    """Let the critic also read x_int and x_ext. The paper does not describe its critic. Only the actor is deployed;
+    without, it reads o_t as a real robot could."""
+    tracking_forecast: bool = setting(True, off=False, addition="tracking forecast for the critic")
+    """Let the critic also read what drives the board, and what tracking will be if that lasts. The paper's privileged
+    information is x_int and x_ext."""
+
+
+@dataclass(frozen=True)
+class ROAConfig(Settings):
+    """Regularised online adaptation: the encoder, and what the actor acts on in training."""
+
+    group = "roa"
+
+    coeff: float = setting(0.2, within=(0, 1e3))
+    """Weight λ of Eq. 15. As in the paper."""
+    ramp: bool = setting(False, question="A23", legged_gym=True)
+    """Grow λ linearly from 0 over the run. Open whether λ = 0.2 is constant or the end of a ramp. Constant; Extreme
+    Parkour ramps it up."""
+    act_source: Source = setting("mixed", question="A24", off="privileged", addition="acting on estimates in training")
+    """What the actor acts on in training; mixed: half of the robots act on their estimates. The paper's figure shows
+    the privileged policy in training; acting on estimates, estimators see what their errors lead to."""
+    latent_features: int = setting(16, within=(1, 1e5))
+    """Size of z. Table I."""
+    encoder_cells: tuple[int, ...] = setting((128, 64), within=(1, 1e5))
+    """Hidden widths of the encoder. Table I."""
+
+
+@dataclass(frozen=True)
+class EstimatorConfig(Settings):
+    """The estimators of intrinsic and extrinsic state."""
+
+    group = "estimator"
+
+    name: str = setting("cnn_gru", question="A26", alias="estimator")
+    """A registered estimator: `list estimators`. Table I."""
+    arguments: dict[str, Any] = setting({})
+    """Arguments of its factory, such as gru_features."""
+    learning_rate: float = setting(1e-3, within=(_TINY, 1))
+    """Learning rate of both, fixed."""
+    epochs: int = setting(1, within=(1, 1000))
+    """Passes over a batch."""
+    dead_reckoning: bool = setting(True, off=False, addition="dead-reckoned velocity")
+    """Let the extrinsic estimator also read the integral of the measured acceleration. 0.2 s of history sees speed only
+    through the resistance: 0.06 m/s² for each m/s."""
+    normalize_targets: bool = setting(
+        True, question="A25", off=False, addition="normalised targets of the extrinsic estimator"
+    )
+    """Measure errors of x_ext in standard deviations. Eq. 16 sums squared errors of contacts (0 or 1), velocities (up
+    to 15 m/s) and positions alike; measured like this each counts."""
+
+
+@dataclass(frozen=True)
+class ComputeConfig(Settings):
+    """On what, and by how many processes, a run is computed."""
+
+    group = "compute"
+
+    device: str = setting("cpu", alias="device")
+    """Device of the learner, cpu or cuda; physics stays on the CPU."""
+    num_threads: int = setting(0, within=(0, 4096))
+    """Physics threads; 0 for the CPUs that this process may use."""
+    torch_threads: int = setting(0, within=(0, 4096))
+    """Threads of torch; 0 for the CPUs that this process may use, and fewer while others use them."""
+    compiled: bool = setting(False)
+    """Use torch.compile for what the task computes at every step and, where the learner is on the CPU, of policy and
+    losses; on a GPU, CUDA graphs of policy and optimiser steps. A resumed run is then the uninterrupted one to
+    rounding. It needs a C++ compiler and half a minute."""
+    collector: Literal["direct", "process", "ray", "distributed"] = setting("direct", alias="collector")
+    """Where robots are simulated: direct in this process, or in `workers` others by TorchRL's engine."""
+    workers: int = setting(2, within=(1, 4096), alias="workers")
+    """Processes that share the robots and the CPUs, unless direct."""
+
+
+@dataclass(frozen=True)
+class LoggingConfig(Settings):
+    """What a run writes, and when."""
+
+    group = "logging"
+
+    checkpoint_seconds: float = setting(60.0, within=(0, 1e6), unit="s")
+    """Longest time between two checkpoints."""
+    logger: Literal["tensorboard", "wandb", "mlflow", "csv"] = setting("tensorboard", alias="logger")
+    """TorchRL's logger beside progress.csv, which is always written; csv for that alone. Of wandb and mlflow their own
+    variables count, such as WANDB_PROJECT and MLFLOW_TRACKING_URI."""
