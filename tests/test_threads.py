@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from torchrl_atr import _threads
-from torchrl_atr._threads import TorchThreads
+from torchrl_atr._threads import TorchThreads, one_torch_thread_if_small
 from torchrl_atr.cli.printing import StepCounter
 
 
@@ -114,3 +114,21 @@ def test_the_line_is_not_appended_to_the_one_that_is_redrawn(threads, capsys, mo
     lines = capsys.readouterr().out.replace("\r", "").splitlines()
     assert [line.split()[0] for line in lines] == ["evaluating:", "other", "evaluating:"]
     assert all(len(line) <= 120 for line in lines)
+
+
+@pytest.mark.parametrize(("rows", "count"), [(1, 1), (2048, 1), (2049, 2)])
+def test_a_small_batch_is_computed_with_one_thread_and_a_large_one_with_all(rows, count):
+    class Batch:
+        batch_size = torch.Size([rows])
+
+        @one_torch_thread_if_small
+        def threads(self, fail=False):
+            if fail:
+                raise RuntimeError
+            return torch.get_num_threads()
+
+    with TorchThreads(2, adaptive=False):
+        assert Batch().threads() == count
+        with pytest.raises(RuntimeError):
+            Batch().threads(fail=True)
+        assert torch.get_num_threads() == 2

@@ -9,7 +9,7 @@ import torch
 from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import TRANSPORTERS
 from torchrl_atr.envs.models.drives import tilt_drive
-from torchrl_atr.envs.tasks.riding.drive_law import DriveLaw, resistance
+from torchrl_atr.envs.tasks.riding.drive_law import DriveLaw, combination, combine, resistance
 
 DECK = TRANSPORTERS.get("single_board_g1")
 DT = 0.005
@@ -155,3 +155,14 @@ def test_mass_is_relative_to_nominal_or_printed():
 def test_as_printed_the_nominal_deck_peaks_near_one():
     model = DriveLaw(DECK, get_interpretation("literal"))
     assert run(model, (0.78, 0.0), (0.0, 0.0), 1)[0] / DT == pytest.approx((12.0 - 0.2) / 11.5)
+
+
+@pytest.mark.parametrize(
+    "matrix", [((1.0, 0.0), (0.0, 1.0)), ((0.5, 0.5), (0.5, -0.5)), ((1.0, 0.0, 2.0), (0.0, 3.0, 0.0))]
+)
+def test_combined_angles_are_the_matrix_product_in_memory_of_their_own(matrix):
+    angles = torch.rand(5, len(matrix[0]), dtype=torch.float64)
+    combined = combine(angles, combination(matrix, torch.float64))
+    torch.testing.assert_close(combined, angles @ doubles(matrix).T)
+    combined.zero_()  # as a drive of one's own may do
+    assert angles.all()
