@@ -157,7 +157,7 @@ def test_a_leader_that_ends_without_a_word_leaves_no_helpers(tmp_path):
 def test_what_cannot_be_shared_is_refused():
     with pytest.raises(ConfigError, match="num_envs=7 cannot be shared evenly by learners=2"):
         make_config({"env.num_envs": 7, "compute.learners": 2})
-    with pytest.raises(ConfigError, match="learners=2 are for collector='direct' and device='cpu'"):
+    with pytest.raises(ConfigError, match="learners=2 are for collector 'direct' and device 'cpu'"):
         make_config({"compute.collector": "process", "compute.learners": 2})
 
 
