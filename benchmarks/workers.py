@@ -76,7 +76,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for kind, settings in KINDS.items():
             common = {"total_frames": arguments.frames, "env.num_envs": arguments.num_envs, **settings}
             returns[kind] = [
-                final_return({**common, "seed": seed}, Path(folder) / f"{settings['collector']}{seed}")
+                final_return({**common, "seed": seed}, Path(folder) / f"{settings['compute.collector']}{seed}")
                 for seed in range(arguments.seeds)
             ]
             say(f"{kind}: {returns[kind]}")

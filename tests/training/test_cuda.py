@@ -37,7 +37,9 @@ def test_it_trains_there_and_goes_on_and_rides_without_it(tmp_path, compiled):
     assert begun.train() is None
     state = load_checkpoint(tmp_path / "run")
     resumed = Trainer(
-        run_config(state, tmp_path, device="cpu", compiled=False, total_frames=4 * 64), tmp_path / "run", state
+        run_config(state, tmp_path, (), {"compute.device": "cpu", "compute.compiled": False, "total_frames": 4 * 64}),
+        tmp_path / "run",
+        state,
     )
     assert resumed.train() is None
     assert resumed.frames == 4 * 64
@@ -65,7 +67,7 @@ def _eager_env(**arguments):
 
 def test_captured_steps_do_what_the_eager_ones_do(tmp_path, uncompiled_env):
     wanted, plain = learned(tmp_path / "eager")
-    tensors, metrics = learned(tmp_path / "captured", compiled=True)
+    tensors, metrics = learned(tmp_path / "captured", **{"compute.compiled": True})
     for ours, theirs in zip(metrics, plain, strict=True):
         assert ours == pytest.approx(theirs, rel=1e-3, abs=1e-5)
     for name, tensor in tensors.items():

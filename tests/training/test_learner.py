@@ -18,9 +18,9 @@ from torchrl_atr.training import (
 )
 
 
-def small_learner(**settings):
+def small_learner(settings=None):
     config = make_config(
-        {"env.num_envs": 2, "ppo.rollout_steps": 2, "compute.num_threads": 1, "ppo.minibatches": 1, **settings}
+        {"env.num_envs": 2, "ppo.rollout_steps": 2, "compute.num_threads": 1, "ppo.minibatches": 1, **(settings or {})}
     )
     env = make_env(config)
     return Learner(make_run_networks(config, env), config, reward_schedule=make_reward_schedule(env)), env
@@ -34,7 +34,9 @@ def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp)
         "exploration.init_std": 0.3,
         "exploration.final_std": 0.1,
     }
-    learner, _ = small_learner(**anneal, target_kl=0.03, final_kl=0.01, roa_coeff=0.2, roa_ramp=ramp)
+    learner, _ = small_learner(
+        {**anneal, "ppo.target_kl": 0.03, "ppo.final_kl": 0.01, "roa.coeff": 0.2, "roa.ramp": ramp}
+    )
     half = 0.3 / 3**0.5, 0.02
     for progress, ceiling, kl in ((0.0, 0.3, 0.03), (0.4, 0.3, 0.03), (0.6, *half), (0.8, 0.1, 0.01), (1.2, 0.1, 0.01)):
         learner.anneal(progress)
@@ -47,7 +49,14 @@ def test_exploration_and_kl_target_sink_late_and_the_ramp_is_the_ancestors(ramp)
 
 @pytest.mark.parametrize(("final", "last"), [(1.0, 2.0), (3.0, 3.5), (5.0, 5.0)])
 def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay(final, last):
-    learner, env = small_learner(num_envs=4, steering_weight_peak=5, steering_weight_end=final, anneal_until=0.8)
+    learner, env = small_learner(
+        {
+            "env.num_envs": 4,
+            "task.steering_weight_peak": 5,
+            "task.steering_weight_end": final,
+            "exploration.anneal_until": 0.8,
+        }
+    )
     config, rewards = learner.config, []
     policy, advantage = learner.networks.rollout_policy(config.roa.act_source), learner.advantage
     with torch.no_grad():
@@ -98,7 +107,7 @@ def updates(learner, env, times):
 
 
 def test_deployed_are_the_running_mean_of_the_weights_and_the_last_statistics():
-    learner, env = small_learner(average_over=2)
+    learner, env = small_learner({"ppo.ema_horizon": 2})
     states = updates(learner, env, 12)
     shares = [1.0, *(max(1 / 2, 9 / (10 + iteration)) for iteration in range(1, 12))]
     assert shares[1] == 9 / 11
@@ -114,7 +123,7 @@ def test_deployed_are_the_running_mean_of_the_weights_and_the_last_statistics():
 
 
 def test_a_mean_over_one_iteration_is_the_last_weights():
-    learner, env = small_learner(average_over=1)
+    learner, env = small_learner({"ppo.ema_horizon": 1})
     *_, last = updates(learner, env, 3)
     for name, value in learner.deployed.state_dict().items():
         assert torch.equal(value, last[name]), name
@@ -131,7 +140,7 @@ def test_a_learner_of_before_there_was_a_mean_deploys_its_networks():
 
 @pytest.mark.skipif(compiler() is None, reason="no C++ compiler on PATH")
 def test_compiled_losses_and_policy_do_what_the_eager_ones_do_schedules_included():
-    still = dict.fromkeys(("learning_rate", "critic_learning_rate", "estimator_learning_rate"), 1e-9)
+    still = dict.fromkeys(("ppo.learning_rate", "ppo.critic_learning_rate", "estimator.learning_rate"), 1e-9)
     settings = {
         "env.num_envs": 8,
         "ppo.rollout_steps": 4,

@@ -234,9 +234,9 @@ def test_a_configuration_of_another_kind_is_refused(tmp_path, config):
     [
         (
             "dead_reckoned_velocity",
-            "dead_reckoning=true reads 'dead_reckoned_velocity', which the env does not have; set it to false",
+            "estimator.dead_reckoning=true reads 'dead_reckoned_velocity', which the env does not have; set it to false",
         ),
-        (("privileged", "outlook"), r"tracking_forecast=true reads \('privileged', 'outlook'\), which the env"),
+        (("privileged", "outlook"), r"ppo.tracking_forecast=true reads \('privileged', 'outlook'\), which the env"),
         (("privileged", "extrinsic"), "do not fit the task 'riding_less' .*give make_networks= too"),
     ],
 )

@@ -21,7 +21,7 @@ TINY = {
     "ppo.minibatches": 2,
     "ppo.epochs": 2,
 }
-TINY["torch_threads"] = 1  # what is compared bit for bit must not depend on who else works here
+TINY["compute.torch_threads"] = 1  # what is compared bit for bit must not depend on who else works here
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_resume_goes_on_where_the_run_stopped(run):
     folder, _ = run
     state = load_checkpoint(folder)
     state["curriculum"]["weights"][3, 4] = 0.625  # so that forgetting to restore it would show
-    config = make_config({**state["config"], "total_frames": 5 * 64})
+    config = make_config(state["config"], {"total_frames": 5 * 64})
     trainer = Trainer(config, folder, state)
     moments = state["learner"]["optimizers"]["policy"]["state"][0]["exp_avg"]
     assert torch.equal(trainer.learner.optimizers["policy"].state_dict()["state"][0]["exp_avg"], moments)
@@ -80,7 +80,7 @@ def test_a_run_goes_on_here_wherever_its_policy_was(tmp_path, monkeypatch):
     ends = []
     for name in ("there", "here"):
         state = load_checkpoint(tmp_path / name)
-        Trainer(make_config({**state["config"], "total_frames": 3 * 64}), tmp_path / name, state).train()
+        Trainer(make_config(state["config"], {"total_frames": 3 * 64}), tmp_path / name, state).train()
         ends.append(load_checkpoint(tmp_path / name)["learner"]["networks"])
     for name, value in ends[0].items():
         assert torch.equal(value, ends[1][name]), name

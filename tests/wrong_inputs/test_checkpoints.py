@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 import torch
 
+from torchrl_atr._nested import merged
+
 NAME = "checkpoint.pt"
 
 
@@ -25,7 +27,8 @@ class Code:
 
 
 def _settings(**changes: object) -> Callable[[dict], object]:
-    return lambda state: state["config"].update(changes)
+    changed = {path.replace("__", "."): value for path, value in changes.items()}
+    return lambda state: state.update(config=merged(state["config"], changed))
 
 
 def _drop(*path: str) -> Callable[[dict], object]:
@@ -48,17 +51,17 @@ def _fill(value: float) -> Callable[[dict], object]:
 @pytest.mark.parametrize(
     ("change", "culprit", "remedy"),
     [
-        (lambda state: state.update(version=99), "version 99; this code reads version 3", "use the torchrl_atr"),
-        (lambda state: state.update(version=1), "version 1; this code reads version 3", "scripts/convert_run.py"),
+        (lambda state: state.update(version=99), "version 99; this code reads version 4", "use the torchrl_atr"),
+        (lambda state: state.update(version=1), "version 1; this code reads version 4", "scripts/convert_run.py"),
         (_drop("version"), "is not a checkpoint of ours", "give a run folder"),
         (_drop("learner", "networks"), "lacks 'learner/networks'", "give a folder that"),
         (_drop("config"), "lacks 'config'", "give a folder that"),
-        (_settings(critic_cells=[32]), "size mismatch for critic.net.0.even.weight", "use the code, the settings"),
-        (_settings(estimator="mlp"), "intrinsic_estimator.net", "use the code, the settings"),
-        (_settings(history_length=3), "size mismatch for intrinsic_est", "use the code, the settings"),
-        (_settings(estimator="my_own"), "unknown estimator 'my_own'", "register_estimator"),
+        (_settings(ppo__critic_cells=[32]), "size mismatch for critic.net.0.even.weight", "use the code, the settings"),
+        (_settings(estimator__name="mlp"), "intrinsic_estimator.net", "use the code, the settings"),
+        (_settings(env__history_length=3), "size mismatch for intrinsic_est", "use the code, the settings"),
+        (_settings(estimator__name="my_own"), "unknown estimator 'my_own'", "register_estimator"),
         (_settings(imports=["no_such_module"]), "cannot import 'no_such_module'", "run where it can be found"),
-        (_settings(robot="/gone/mine.toml"), "no robot file /gone/mine.toml", "check its path"),
+        (_settings(task__robot="/gone/mine.toml"), "no robot file /gone/mine.toml", "check its path"),
         (_settings(tomorrows_setting=1), "unknown setting 'tomorrows_setting'", "list settings"),
         (_fill(float("nan")), "NaN or infinity in encoder.net.0.even.weight", "use an earlier checkpoint"),
     ],
@@ -109,7 +112,7 @@ def test_a_folder_without_a_checkpoint_is_refused(refused, tmp_path, folder):
 
 def test_a_run_trained_elsewhere_is_evaluated_and_resumed_on_the_cpu(refused, tmp_path, untouched_run, capsys):
     state = torch.load(untouched_run / NAME, weights_only=True)
-    state["config"]["device"] = "cuda:99"
+    state["config"]["compute"]["device"] = "cuda:99"
     state["frames"] = state["config"]["total_frames"]
     torch.save(state, tmp_path / NAME)
     refused(["play", tmp_path, "--video", "ride.avi"], "'ride.avi'", ".mp4")  # its networks were loaded before

@@ -21,6 +21,7 @@ from torchrl_atr.training.run_files import located_settings
 
 _PARTS = (
     ("config",),
+    ("config", "task"),
     ("learner", "networks"),
     ("learner", "optimizers"),
     ("curriculum",),

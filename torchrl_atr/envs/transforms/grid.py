@@ -38,8 +38,8 @@ class CommandGrid:
         initial: Half-widths of the box that starts with weight 1; a cell belongs to it if its centre does.
         expansion: The paper's Delta, m/s and rad/s: how far a success reaches along each axis.
         increment: The paper's delta, added to each cell of the neighbourhood for each success, in (0, 1].
-        count_own_twice: The ``ancestor`` reading of ``c + Delta``: the succeeding cell gains the increment
-            twice.
+        count_own_twice: What the preset ``legged_gym`` makes of ``c + Delta``: the succeeding cell gains the
+            increment twice.
         forward_only: Whether no speed below zero is drawn.
         still: Share of the draws that ask to stand still, whatever the weights; in [0, 1].
         turning: Share that asks for a yaw rate alone.
