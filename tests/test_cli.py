@@ -68,7 +68,7 @@ def test_train_evaluate_resume(tmp_path, capsys):
     metrics = json.loads((report / "metrics.json").read_text())
     assert metrics["n"] == 3
     assert metrics["run"]["frames"] == 32
-    assert set(metrics["policy_reads"]) == {"history", "observation", "odometry"}
+    assert set(metrics["policy_reads"]) == {"history", "observation", "dead_reckoned_velocity"}
     names = {"metrics.json", "tracking.npz", "heatmaps.png", "learning_curves.png", "curriculum.png"}
     assert names <= {file.name for file in report.iterdir()}
     assert main(["train", "--resume", str(run), "--total-frames", "48"]) == 0

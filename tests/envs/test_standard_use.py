@@ -236,7 +236,7 @@ def test_what_float32_cannot_hold_is_refused_like_an_infinity(key, size):
 
 def test_a_state_that_is_not_finite_in_float32_is_refused():
     env = RidingEnv(num_envs=2, seed=0, num_threads=1)
-    for name in ("x_int", "odometry"):
+    for name in ("x_int", "dead_reckoned_velocity"):
         state = env.get_state()
         with pytest.raises(InputError, match=f"'{name}' is not finite in float32"):
             env.set_state(state.set(name, torch.full_like(state[name], 1e300, dtype=torch.float64)))
@@ -331,7 +331,7 @@ def test_wrong_kinds_of_the_transforms_arguments_are_named(provoke, name):
         ("privileged_critic", 1),
         ("estimator_kwargs", 3),
         ("reflections", 3),
-        ("estimator_inputs", "odometry"),
+        ("estimator_inputs", "dead_reckoned_velocity"),
         ("critic_inputs", 3),
         ("exploration", 0.3),
         ("output_map", 2.0),

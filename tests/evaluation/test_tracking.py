@@ -183,7 +183,9 @@ def _riding(num_envs, seed):
 def test_the_deployed_policy_on_the_real_env():
     """Two commands, two robots each, a second: all is finite, and the same seed gives the same figures."""
     env = _riding(1, 0)
-    networks = make_networks(env.observation_spec, env.action_spec, estimator="mlp", estimator_inputs=["odometry"])
+    networks = make_networks(
+        env.observation_spec, env.action_spec, estimator="mlp", estimator_inputs=["dead_reckoned_velocity"]
+    )
     run = partial(
         evaluate_tracking,
         networks.deployed_policy(),
@@ -198,7 +200,7 @@ def test_the_deployed_policy_on_the_real_env():
     assert result.rms_speed_error.shape == (2, 1, 2)
     assert np.isfinite(result.rms_speed_error).all()
     np.testing.assert_array_equal(result.rms_speed_error, again.rms_speed_error)
-    assert set(result.policy_reads) == {"history", "observation", "odometry"}
+    assert set(result.policy_reads) == {"history", "observation", "dead_reckoned_velocity"}
     assert result.rms_speed_error[0, 0, 0] != result.rms_speed_error[0, 0, 1]  # intrinsics of their own
     extrinsic = env.observation_spec["privileged", "extrinsic"].shape[-1]
     assert len(result.estimators.components) == extrinsic

@@ -175,7 +175,9 @@ def test_a_critic_without_privileges_reads_the_observation_alone(spec):
 def fuller(spec):
     """The spec of an env that offers more: velocities by dead reckoning, and what the critic alone may see."""
     extra = Composite(
-        odometry=Unbounded((5, 2)), privileged=Composite(outlook=Unbounded((5, 8)), shape=(5,)), shape=(5,)
+        dead_reckoned_velocity=Unbounded((5, 2)),
+        privileged=Composite(outlook=Unbounded((5, 8)), shape=(5,)),
+        shape=(5,),
     )
     return spec.clone().update(extra)
 
@@ -189,12 +191,12 @@ def test_what_an_env_offers_is_not_read_unless_it_is_asked_for(spec, fuller):
     asked = make_networks(
         fuller,
         Unbounded((5, 2)),
-        estimator_inputs=["odometry"],
-        critic_inputs=[("privileged", "outlook"), "odometry"],
+        estimator_inputs=["dead_reckoned_velocity"],
+        critic_inputs=[("privileged", "outlook"), "dead_reckoned_velocity"],
         **options,
     )
-    assert set(asked.deployed_policy().in_keys) == {"history", "observation", "odometry"}
-    assert asked.critic_module.in_keys[-2:] == [("privileged", "outlook"), "odometry"]
+    assert set(asked.deployed_policy().in_keys) == {"history", "observation", "dead_reckoned_velocity"}
+    assert asked.critic_module.in_keys[-2:] == [("privileged", "outlook"), "dead_reckoned_velocity"]
     assert linear_sizes(asked.critic)[0][0] == linear_sizes(plain.critic)[0][0] + 8 + 2
     assert linear_sizes(asked.extrinsic_estimator)[0][0] == 4 * (7 + 2)
     asked.update_normalizers(fuller.rand())
@@ -204,14 +206,14 @@ def test_what_an_env_offers_is_not_read_unless_it_is_asked_for(spec, fuller):
 
 @pytest.mark.parametrize("argument", ["estimator_inputs", "critic_inputs"])
 def test_an_input_that_the_spec_lacks_is_named(spec, argument):
-    with pytest.raises(KeyError, match=rf"{argument} names 'odometry', which the spec lacks"):
-        make_networks(spec, Unbounded((5, 2)), **{argument: ["odometry"]})
+    with pytest.raises(KeyError, match=rf"{argument} names 'dead_reckoned_velocity', which the spec lacks"):
+        make_networks(spec, Unbounded((5, 2)), **{argument: ["dead_reckoned_velocity"]})
 
 
 def test_a_critic_without_privileges_may_read_more_than_the_observation(fuller):
-    options = {"privileged_critic": False, "critic_inputs": ["odometry"], "critic_cells": (16,)}
+    options = {"privileged_critic": False, "critic_inputs": ["dead_reckoned_velocity"], "critic_cells": (16,)}
     nets = make_networks(fuller, Unbounded((5, 2)), **options)
-    assert nets.critic_module.in_keys == ["observation", "odometry"]
+    assert nets.critic_module.in_keys == ["observation", "dead_reckoned_velocity"]
     assert nets.critic_module(fuller.rand())["state_value"].shape == (5, 1)
 
 

@@ -54,9 +54,9 @@ def test_a_part_that_the_task_does_not_have_is_refused_and_its_default_ignored()
 @pytest.mark.parametrize(
     ("settings", "policy", "critic"),
     [
-        ({}, {"odometry"}, TRUTH | {("privileged", "outlook")}),
+        ({}, {"dead_reckoned_velocity"}, TRUTH | {("privileged", "outlook")}),
         ({"dead_reckoning": False, "tracking_forecast": False}, set(), TRUTH),
-        ({"privileged_critic": False}, {"odometry"}, set()),
+        ({"privileged_critic": False}, {"dead_reckoned_velocity"}, set()),
     ],
 )
 def test_settings_say_what_networks_read(settings, policy, critic):

@@ -183,7 +183,10 @@ def test_a_configuration_of_another_kind_is_refused(tmp_path, config):
 @pytest.mark.parametrize(
     ("missing", "message"),
     [
-        ("odometry", "dead_reckoning=true reads 'odometry', which the env does not have; set it to false"),
+        (
+            "dead_reckoned_velocity",
+            "dead_reckoning=true reads 'dead_reckoned_velocity', which the env does not have; set it to false",
+        ),
         (("privileged", "outlook"), r"tracking_forecast=true reads \('privileged', 'outlook'\), which the env"),
         (("privileged", "extrinsic"), "do not fit the task 'riding_less' .*give make_networks= too"),
     ],

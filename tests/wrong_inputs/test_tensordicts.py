@@ -27,7 +27,9 @@ def given():
     base, env = (make(num_envs=2, num_threads=1, seed=0) for make in (RidingEnv, make_riding_env))
     walker = make_env(make_task("walking"), num_envs=2, num_threads=1, seed=0)
     spec = env.observation_spec
-    nets = make_networks(spec, env.action_spec, actor_cells=[8], critic_cells=[8], estimator_inputs=["odometry"])
+    nets = make_networks(
+        spec, env.action_spec, actor_cells=[8], critic_cells=[8], estimator_inputs=["dead_reckoned_velocity"]
+    )
     with torch.no_grad():
         batch = env.rollout(2, nets.rollout_policy("mixed"))
     parts = (nets.critic_module, nets.encoder_module, nets.intrinsic_estimator_module, nets.extrinsic_estimator_module)
@@ -136,7 +138,12 @@ def _action(value=0.0, size=12):
             "got (2, 5, 46)",
             "was built for a history of shape (*, 10, 46)",
         ),
-        (lambda g: g.nets.update_normalizers(g.batch.exclude("odometry")), KeyError, "lacks 'odometry'", "rename it"),
+        (
+            lambda g: g.nets.update_normalizers(g.batch.exclude("dead_reckoned_velocity")),
+            KeyError,
+            "lacks 'dead_reckoned_velocity'",
+            "rename it",
+        ),
         (lambda g: AssignActSource()(g.batch[0, 0]), ValueError, "'observation' is (46,)", "Use source="),
         (lambda g: g.nets.rollout_policy("teacher"), ValueError, "'teacher'", "privileged, estimated, mixed"),
         (lambda g: register_estimator("mlp", dict), InputError, "'mlp' is registered already", "choose another name"),

@@ -75,9 +75,9 @@ class QuadrupedEnv(EnvBase):
     intrinsics, initial states and disturbances, and the commands of a curriculum in front of it.
 
     Keys, float32 and SI units: ``action`` (N, 12) and ``command`` (N, C) in; out the task's groups of observations (of
-    riding ``proprio`` 44, ``speeds`` 2, ``odometry`` 3, ``("privileged", "extrinsic")`` 16, ``("privileged",
-    "outlook")`` 14), ``command``, ``observation`` (proprio and command), ``("privileged", "intrinsic")``,
-    ``moving_start``, ``("reward_terms", name)``, ``reward`` and the done flags.
+    riding ``proprio`` 44, ``speeds`` 2, ``dead_reckoned_velocity`` 3, ``("privileged", "extrinsic")`` 16,
+    ``("privileged", "outlook")`` 14), ``command``, ``observation`` (proprio and command),
+    ``("privileged", "intrinsic")``, ``moving_start``, ``("reward_terms", name)``, ``reward`` and the done flags.
 
     Example:
         >>> from torchrl_atr.envs.tasks import riding

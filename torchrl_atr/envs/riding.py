@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from torchrl_atr.envs.env import QuadrupedEnv
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec
 from torchrl_atr.envs.physics import PhysicsEngine
 from torchrl_atr.envs.profiles import Readings
-from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardTerm, riding
+from torchrl_atr.envs.tasks import riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 
 
@@ -17,13 +17,15 @@ class RidingEnv(QuadrupedEnv):
     """Quadrupeds riding tilt-driven transporters: ``QuadrupedEnv(riding(robot, transporter, ...), ...)``.
 
     Args:
-        robot, transporter, profile, pushes, moving_start, rewards: see :func:`~torchrl_atr.envs.tasks.riding`.
+        robot, transporter, profile: see :func:`~torchrl_atr.envs.tasks.riding`.
         num_envs, physics, randomization, num_threads, failed_episode_replay, seed, dump_dir, compiled: see
             :class:`~torchrl_atr.envs.QuadrupedEnv`.
+        **of_the_task: further arguments of :func:`~torchrl_atr.envs.tasks.riding`, such as ``sensors="realistic"``.
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
-        RobotError, ValueError, KeyError: see :class:`~torchrl_atr.envs.QuadrupedEnv`.
+        RobotError, ValueError, KeyError, TypeError: see :class:`~torchrl_atr.envs.QuadrupedEnv` and
+            :func:`~torchrl_atr.envs.tasks.riding`.
 
     Example:
         >>> env = RidingEnv(num_envs=4, seed=0)
@@ -40,15 +42,13 @@ class RidingEnv(QuadrupedEnv):
         randomization: Randomization = "train",
         profile: str | Readings = "default",
         num_threads: int | None = None,
-        pushes: bool = True,
-        moving_start: float = 0.0,
         failed_episode_replay: float = 0.0,
         seed: int | None = None,
         dump_dir: str | Path | None = None,
         compiled: bool = False,
-        rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
+        **of_the_task: Any,
     ) -> None:
-        task = riding(robot, transporter, profile=profile, pushes=pushes, moving_start=moving_start, rewards=rewards)
+        task = riding(robot, transporter, profile=profile, **of_the_task)
         super().__init__(
             task, num_envs, physics, randomization, num_threads, failed_episode_replay, seed, dump_dir, compiled
         )

@@ -11,8 +11,8 @@ from tensordict import NestedKey
 class NetworkKeys:
     """Names of the entries that networks and loss meet on; rename any of them for an env with its own names.
 
-    ``odometry`` (velocities by dead reckoning) and ``outlook`` (what tracking will be like) are read only where
-    :func:`~torchrl_atr.modules.make_networks` is told so: ``estimator_inputs=[keys.odometry]`` and
+    ``dead_reckoned_velocity`` and ``outlook`` (what tracking will be like) are read only where
+    :func:`~torchrl_atr.modules.make_networks` is told so: ``estimator_inputs=[keys.dead_reckoned_velocity]`` and
     ``critic_inputs=[keys.outlook]``.
 
     Examples:
@@ -22,7 +22,7 @@ class NetworkKeys:
 
     observation: NestedKey = "observation"
     history: NestedKey = "history"
-    odometry: NestedKey = "odometry"
+    dead_reckoned_velocity: NestedKey = "dead_reckoned_velocity"
     intrinsic: NestedKey = ("privileged", "intrinsic")
     extrinsic: NestedKey = ("privileged", "extrinsic")
     outlook: NestedKey = ("privileged", "outlook")

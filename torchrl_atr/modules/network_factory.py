@@ -52,7 +52,7 @@ def make_networks(
         estimator (str): a registered name (:func:`torchrl_atr.modules.available_estimators`).
         estimator_kwargs (mapping, optional): passed to the estimator's factory.
         estimator_inputs (sequence of NestedKey): entries that the extrinsic estimator reads beside the history, such as
-            ``["odometry"]``. The deployed policy reads them too. Defaults to none.
+            ``["dead_reckoned_velocity"]``. The deployed policy reads them too. Defaults to none.
         latent_features (int): size of z. Defaults to 16.
         actor_cells (sequence of int): hidden widths of the actor.
         products (sequence of pairs of int): see :class:`~torchrl_atr.modules.ActorBackbone`.
@@ -82,12 +82,12 @@ def make_networks(
         >>> spec = Composite(
         ...     observation=Unbounded((5,)),
         ...     history=Unbounded((4, 5)),
-        ...     odometry=Unbounded((2,)),
+        ...     wind=Unbounded((2,)),
         ...     privileged=Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,))),
         ... )
-        >>> networks = make_networks(spec, Unbounded((2,)), estimator="mlp", estimator_inputs=["odometry"])
+        >>> networks = make_networks(spec, Unbounded((2,)), estimator="mlp", estimator_inputs=["wind"])
         >>> sorted(networks.deployed_policy().in_keys)
-        ['history', 'observation', 'odometry']
+        ['history', 'observation', 'wind']
     """
     check_whole("latent_features", latent_features, low=1)
     check_widths(actor_cells=actor_cells, critic_cells=critic_cells)

@@ -67,7 +67,7 @@ def input_sizes(spec: Composite, argument: str, inputs: Sequence[NestedKey]) -> 
 
     Examples:
         >>> from torchrl.data import Unbounded
-        >>> input_sizes(Composite(odometry=Unbounded((8, 3))), "estimator_inputs", ["odometry"])
+        >>> input_sizes(Composite(wind=Unbounded((8, 3))), "estimator_inputs", ["wind"])
         [3]
     """
     available = spec.keys(True, True)

@@ -33,7 +33,7 @@ TOGETHER = 10
 """Time limits are looked at in every so many steps, a divisor of the default recipe's 250."""
 LOADED: dict[str, Any] = {"compiled": False, "stagger": 0, "stored_once": False}
 """Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
-TASK_ONLY: dict[str, Any] = {"moving_start": 0.0, "pushes": False}
+TASK_ONLY: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "pushes": False}
 """Arguments of tasks without what belongs to training only."""
 DEPLOYED: dict[str, Any] = {
     **LOADED,
@@ -150,7 +150,7 @@ def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
 
 
 def _estimator_inputs(config: TrainConfig, spec: Composite) -> list[NestedKey]:
-    return _optional(config, "dead_reckoning", NetworkKeys.odometry, spec)
+    return _optional(config, "dead_reckoning", NetworkKeys.dead_reckoned_velocity, spec)
 
 
 def _optional(config: TrainConfig, setting: str, key: NestedKey, spec: Composite) -> list[NestedKey]:

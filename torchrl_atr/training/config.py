@@ -23,6 +23,9 @@ SEED_STRIDE = 1000
 """Between the seeds of two processes that share a run."""
 
 
+_OF_THE_TASK = ("robot", "transporter", "profile", "sensors", "moving_start", "displaced_start")
+
+
 @dataclass(frozen=True)
 class TrainConfig:
     """Everything a run depends on besides the code.
@@ -36,6 +39,7 @@ class TrainConfig:
             copies the file and all that it needs, and stores the copy's path in the run folder).
         transporter: ``single_board`` or ``two_board`` in the robot's size, another registered name, or likewise a file.
             Of a task without one it stays at its default; another value is refused.
+        sensors: name of a set of sensor errors, ``ideal`` or ``realistic``.
         profile: name from the registry.
         estimator: name of a registered estimator, used for the intrinsic and the extrinsic one.
         imports: modules imported first, so that they can register tasks, estimators, robots and transporters.
@@ -77,7 +81,7 @@ class TrainConfig:
         roa_ramp: whether λ grows linearly from 0 over the run (A23).
         adaptation_epochs: passes of the estimators over a batch.
         act_source: what the actor acts on in training: ``privileged``, ``estimated`` or ``mixed`` (A24).
-        dead_reckoning: whether the extrinsic estimator reads the odometry beside the history.
+        dead_reckoning: whether the extrinsic estimator reads the dead_reckoned_velocity beside the history.
         symmetric: whether encoder, actor and critic treat left and right alike by construction.
         normalize_targets: whether the extrinsic estimator's errors are measured in standard deviations (A25).
         steering_cue: whether the actor also reads tanh(c_v) c_ω, which has the sign of the lean that turns.
@@ -88,6 +92,7 @@ class TrainConfig:
         history_length: H.
         critic_cells: hidden widths of the critic; the actor's are Table I's.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds.
+        displaced_start: share of the episodes whose robot starts shifted and turned on the boards.
         retry: share of the falls after which the same robot tries again: those that fall often are seen too little.
         episode_seconds, command_seconds: time limit, and how long a command lasts.
         steering_weight_peak: factor of r1 in what is learned from, at its peak: it rises from 1 until ``anneal_until``
@@ -106,6 +111,7 @@ class TrainConfig:
     task: str = "riding"
     robot: str = "a1"
     transporter: str = "single_board"
+    sensors: str = "realistic"
     profile: str = "default"
     estimator: str = "cnn_gru"
     imports: tuple[str, ...] = ()
@@ -157,6 +163,7 @@ class TrainConfig:
     history_length: int = 10
     critic_cells: tuple[int, ...] = (256, 128, 64)
     moving_start: float = 0.8
+    displaced_start: float = 0.3
     retry: float = 0.5
     episode_seconds: float = 5.0
     command_seconds: float = 5.0
@@ -220,7 +227,7 @@ class TrainConfig:
         Raises:
             UnknownNameError: for an unknown task, robot, transporter or profile.
         """
-        settings = {name: getattr(self, name) for name in ("robot", "transporter", "profile", "moving_start")}
+        settings = {name: getattr(self, name) for name in _OF_THE_TASK}
         settings |= {name: getattr(self, name) for name in ("steering_weight_peak", "steering_weight_end")}
         settings["steering_weight_peak_at"] = self.anneal_until
         known = inspect.signature(TASKS.get(self.task)).parameters

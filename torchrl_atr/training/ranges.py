@@ -50,6 +50,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "student_fraction": (0, 1),
     "history_length": (1, 1000),
     "moving_start": (0, 1),
+    "displaced_start": (0, 1),
     "retry": (0, 1),
     "episode_seconds": (0.1, 1e6),
     "command_seconds": (0.1, 1e6),

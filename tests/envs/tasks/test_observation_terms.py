@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import pytest
 import torch
@@ -162,21 +163,26 @@ def test_a_bias_stays_for_an_episode_and_differs_between_robots_and_episodes():
     assert (steps(env, 1)[0] - 2.0 != first[0]).float().mean() > 0.99
 
 
-def test_about_the_declared_share_of_the_episodes_sees_the_step_before():
-    late = ObservationTerm(lambda c: c.state.joint_velocity, delay=0.3)
+def test_a_delayed_value_lies_between_the_step_before_and_now_by_a_share_of_the_episodes_own():
+    late = ObservationTerm(lambda c: c.state.joint_velocity, delay=0.5)
     prompt = ObservationTerm(lambda c: c.state.joint_velocity)
     env = make(STILL.with_observation("late", v=late).with_observation("prompt", v=prompt), 300)
     td, generator = env.reset(), torch.Generator().manual_seed(0)
     assert torch.equal(td["late"], td["prompt"])  # nothing came before
-    before, shares = td["prompt"], []
+    before = td["prompt"]
+    share = 0.5 * env.runner.sensor_errors.state["delay of late"]
+    assert 0.0 <= share.min() < 0.05 < 0.45 < share.max() <= 0.5
     for _ in range(5):
         td = env.step(td.set("action", 0.05 * torch.randn(300, 12, generator=generator)))["next"]
-        delayed = (td["late"] == before).all(-1)
-        assert torch.equal(~delayed, (td["late"] == td["prompt"]).all(-1))
+        torch.testing.assert_close(td["late"], (1.0 - share) * td["prompt"] + share * before)
         before = td["prompt"]
-        shares.append(delayed)
-    assert all(torch.equal(each, shares[0]) for each in shares)  # for the whole episode
-    assert 0.2 < shares[0].float().mean() < 0.4
+
+
+def test_a_bias_that_wanders_keeps_its_standard_deviation_and_forgets_in_its_correlation_time():
+    values = steps(make(sensed(bias=0.3, bias_time=0.2), 400), 60) - 2.0
+    assert values.std(1).mean().item() == pytest.approx(0.3, rel=0.05)
+    ten_later = (values[10:] * values[:-10]).mean() / values.var()
+    assert ten_later.item() == pytest.approx(math.exp(-1.0), abs=0.06)
 
 
 def test_what_is_privileged_and_what_declares_no_error_stays_exact():

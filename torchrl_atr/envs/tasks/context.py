@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from tensordict import NestedKey
 from torch import Tensor
 
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.profiles import Readings
+from torchrl_atr.envs.tasks.sensor_errors import GroupErrors
 
 
 @dataclass
@@ -28,6 +30,8 @@ class StepContext:
         scene: robot, support and their compiled nominal model.
         readings: the paper's open questions.
         memory: what is carried from step to step, by name, (N, size) each; memory terms see the step before.
+        observations: the task's groups of observation terms, by key and name; for :meth:`sensed`.
+        errors: of the sensors at this step, by the key of the group; none of groups that are exact.
     """
 
     state: Any
@@ -38,8 +42,28 @@ class StepContext:
     scene: Scene
     readings: Readings = field(default_factory=Readings)
     memory: Mapping[str, Tensor] = field(default_factory=dict)
+    observations: Mapping[NestedKey, Mapping[str, Any]] = field(default_factory=dict)
+    errors: Mapping[NestedKey, GroupErrors] = field(default_factory=dict)
 
     @property
     def robot(self) -> RobotSpec:
         """The robot's spec."""
         return self.scene.robot
+
+    def sensed(self, name: str, key: NestedKey = "proprio") -> Tensor:
+        """Return an observation term as it is observed: with noise, bias and delay, (N, D).
+
+        Memory terms that stand for a computation on the robot, such as dead reckoning, read this and not the state.
+
+        Args:
+            name: of the term.
+            key: of its group.
+
+        Raises:
+            KeyError: if the task has no such term.
+        """
+        exact = self.observations[key][name].function(self)
+        if key not in self.errors:
+            return exact
+        errors = self.errors[key]
+        return errors(exact, errors.columns[name])

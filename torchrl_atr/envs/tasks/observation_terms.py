@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -48,8 +49,11 @@ class ObservationTerm:
         parts: what tables call its components, such as ``"xyz"``.
         unit: of all of them.
         noise: standard deviation of white noise that is added at every step, in its unit.
-        bias: standard deviation of an error that is drawn for every episode and stays, in its unit.
-        delay: share of the episodes in which the value is that of the control step before, in [0, 1].
+        bias: standard deviation of an error that is drawn for every episode, in its unit.
+        bias_time: correlation time of the bias, s: it wanders slowly and keeps its standard deviation. Infinite by
+            default: it stays for the episode.
+        delay: largest delay in control steps, in [0, 1]; every episode draws its own, uniformly from 0 on, and observes
+            the interpolation between the value before and the present one.
 
     Raises:
         ObservationError: if the function cannot be called, or a number is out of range.
@@ -65,6 +69,7 @@ class ObservationTerm:
     unit: str = ""
     noise: float = 0.0
     bias: float = 0.0
+    bias_time: float = math.inf
     delay: float = 0.0
 
     def __post_init__(self) -> None:
@@ -76,11 +81,13 @@ class ObservationTerm:
             for name in ("noise", "bias"):
                 check_number(name, getattr(self, name), 0.0)
             check_number("delay", self.delay, 0.0, 1.0)
+            if self.bias_time != math.inf:
+                check_number("bias_time", self.bias_time, above=0.0)
         except InputError as error:
             raise ObservationError(f"{error} (of an observation term)") from None
 
     @property
-    def sensed(self) -> bool:
+    def has_errors(self) -> bool:
         """Whether it is observed with an error."""
         return bool(self.noise or self.bias or self.delay)
 

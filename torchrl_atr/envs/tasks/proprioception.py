@@ -6,12 +6,10 @@ import torch
 from torch import Tensor
 
 from torchrl_atr.envs.models.robot import LEGS
-from torchrl_atr.envs.physics.engine import CONTROL_DT
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
-from torchrl_atr.envs.tasks.memory_terms import MemoryTerm
 from torchrl_atr.envs.tasks.observation_terms import Group, ObservationTerm
-from torchrl_atr.envs.tasks.rotations import rotate_about, rotate_back
+from torchrl_atr.envs.tasks.rotations import rotate_back
 from torchrl_atr.envs.tasks.state import GRAVITY
 
 
@@ -80,34 +78,7 @@ def speeds(c: StepContext) -> Tensor:
     return c.state.speeds
 
 
-def odometry(c: StepContext) -> Tensor:
-    """v_B by dead reckoning, body frame, m/s, (N, 3)."""
-    return c.memory["odometry"]
-
-
 SPEEDS: Group = {"speeds": ObservationTerm(speeds, mirrors.FORWARD_YAW)}
-DEAD_RECKONED: Group = {"odometry": ObservationTerm(odometry, mirrors.POLAR, parts="xyz", unit="m/s")}
-"""Needs :data:`ODOMETRY` among the task's memory."""
-
-
-def dead_reckoning(c: StepContext) -> Tensor:
-    """Compute the body velocity from what an IMU measures: turned back by ω_B dt, plus v̇_B dt.
-
-    A history of 0.2 s sees a transporter's speed only through the resistance, 0.06 m/s² for each m/s; from a known
-    start the integral of the acceleration knows it. It drifts with the bias of a real accelerometer.
-
-    Args:
-        c: its memory ``odometry`` is the velocity before the step, body frame, m/s, (N, 3).
-
-    Returns:
-        (N, 3), body frame, m/s.
-    """
-    turned = rotate_about(c.memory["odometry"], -CONTROL_DT * c.state.angular_velocity)
-    return turned + CONTROL_DT * c.state.body_acceleration
-
-
-ODOMETRY = MemoryTerm(3, dead_reckoning, start=body_velocity)
-"""Body velocity by dead reckoning since the start of the episode; one that starts moving knows its first velocity."""
 
 
 def heading_frame(euler: Tensor, vector: Tensor) -> Tensor:

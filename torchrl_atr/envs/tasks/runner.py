@@ -16,7 +16,7 @@ from torchrl_atr.envs.tasks.reward_terms import TERMINATION
 from torchrl_atr.envs.tasks.sensor_errors import SensorErrors
 from torchrl_atr.envs.tasks.task import Task
 from torchrl_atr.envs.tasks.task_checks import checked_start
-from torchrl_atr.envs.tasks.terms import DIVERGED, Memory, Observed, StepOutcome, TaskTerms, with_command
+from torchrl_atr.envs.tasks.terms import DIVERGED, Memory, Observed, StepOutcome, TaskTerms
 
 ACTION_LIMIT = 3.0
 """Bounds of the action specs, in units of the action scale: with 0.25 rad a unit, joint targets of q0 ± 0.75 rad.
@@ -88,7 +88,8 @@ class EpisodeRunner:
         self.causes = torch.zeros(len(self.terms.causes), n, dtype=torch.bool)
         self._check_names()
         self.memory: Memory = self.terms.no_memory
-        self.sensor_errors = SensorErrors(self.terms.observations, n, rng)
+        observations = self.terms.observations
+        self.sensor_errors = SensorErrors(observations.groups, observations.sizes, n, rng)
         self.start_episodes(torch.arange(n), torch.zeros(n, len(task.command), dtype=torch.float32))
 
     def _check_names(self) -> None:
@@ -120,7 +121,9 @@ class EpisodeRunner:
             x_int = torch.where(again.unsqueeze(-1), self.x_int[rows], x_int)
         begun = checked_start(self.task, self.task.reset(self.scene, command, self.rng), self.scene, n)
         self.engine.reset(rows, begun.qpos, begun.qvel, lambda fields: self.intrinsics.apply(fields, x_int))
-        observed, velocities, memory = self.terms.first(self._reader.gather(rows), command, x_int)
+        errors = self.sensor_errors.start(rows)
+        observed, velocities, memory, exact = self.terms.first(self._reader.gather(rows), command, x_int, errors)
+        self.sensor_errors.remember(exact, rows)
         self._reader.velocities[rows] = velocities
         # out of place: callers may hold what was handed out before
         self.x_int = self.x_int.index_copy(0, rows, x_int)
@@ -128,8 +131,6 @@ class EpisodeRunner:
         self.previous_action = self.previous_action.index_fill(0, rows, 0.0)
         self.moving = self.moving.index_copy(0, rows, begun.moving)
         self.steps, self.failed = self.steps.index_fill(0, rows, 0), self.failed.index_fill(0, rows, False)
-        if self.sensor_errors:
-            observed = with_command(self.sensor_errors.start(rows, observed))
         return {**observed, "moving_start": begun.moving.unsqueeze(-1)}
 
     @keeps_normal_tensors
@@ -173,13 +174,12 @@ class EpisodeRunner:
         if diverged.any():  # what came before is no state to take differences to
             self._reader.forget(diverged.nonzero().squeeze(-1))
         before = self._reader.velocities, self._action, self.previous_action, self.memory
-        outcome, self._reader.velocities, self.memory = self.terms.evaluate(
-            self._reader.gather(), *before, command, self.x_int, diverged
+        outcome, self._reader.velocities, self.memory, exact = self.terms.evaluate(
+            self._reader.gather(), *before, command, self.x_int, diverged, self.sensor_errors.step()
         )
+        self.sensor_errors.remember(exact)
         self.previous_action = self._action
         self.steps, self.failed, self.causes = self.steps + 1, outcome.terminated, outcome.causes
-        if self.sensor_errors:
-            outcome.observed = with_command(self.sensor_errors.apply(outcome.observed))
         outcome.observed["moving_start"] = self.moving.unsqueeze(-1)
         return outcome
 

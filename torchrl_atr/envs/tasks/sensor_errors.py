@@ -2,64 +2,154 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
 import torch
 from tensordict import NestedKey
 from torch import Tensor
 
-from torchrl_atr.envs.tasks.observation_terms import Observations
+from torchrl_atr.envs.physics.engine import CONTROL_DT
+
+Draw = dict[str, Tensor]
+"""``offset`` and ``delay`` of a group's components at this step, and their exact values ``before`` it, (N, D) each."""
+
+
+@dataclass
+class GroupErrors:
+    """The errors of a group of observation terms at one step.
+
+    Attributes:
+        columns: where each term's components are, by name.
+        offset: what is added: bias and noise, (N, D).
+        delay: in control steps, in [0, 1], (N, D).
+        before: exact values of the step before, (N, D).
+    """
+
+    columns: Mapping[str, slice]
+    offset: Tensor
+    delay: Tensor
+    before: Tensor
+
+    def __call__(self, exact: Tensor, columns: slice = slice(None)) -> Tensor:
+        """Return what the sensors read, given the exact values of ``columns``."""
+        late = torch.lerp(exact, self.before[:, columns], self.delay[:, columns])
+        return late + self.offset[:, columns]
 
 
 class SensorErrors:
-    """Adds the errors that observation terms declare; each robot has a bias and a delay of its own for an episode.
+    """Draws the errors that observation terms declare; each robot has a bias and a delay of its own for an episode.
+
+    A bias starts with its standard deviation and, where it has a correlation time τ, goes on as a Gauss-Markov process
+    that keeps it: b' = k b + √(1 - k²) σ n, with k = exp(-Δt / τ).
 
     Args:
-        observations: the groups; those without an error are left alone.
+        groups: the observation terms by key and name; groups without an error are left alone.
+        sizes: components of every term, by key and name.
         num_envs: N.
         generator: source of randomness.
 
     Attributes:
-        state: biases, delays and the values of the step before, by key, (N, D) each.
+        state: biases (N, D), delays (N, 1) and exact values of the step before (N, D), by name.
+
+    Example:
+        >>> from torchrl_atr.envs.tasks import ObservationTerm
+        >>> term = ObservationTerm(lambda c: c.state.euler, bias=0.1)
+        >>> groups, sizes = {"proprio": {"euler": term}}, {"proprio": {"euler": 3}}
+        >>> errors = SensorErrors(groups, sizes, 2, torch.Generator().manual_seed(0))
+        >>> errors.start(torch.arange(2))["proprio"]["offset"].shape
+        torch.Size([2, 3])
     """
 
-    def __init__(self, observations: Observations, num_envs: int, generator: torch.Generator) -> None:
+    def __init__(
+        self,
+        groups: Mapping[NestedKey, Mapping[str, Any]],
+        sizes: Mapping[NestedKey, Mapping[str, int]],
+        num_envs: int,
+        generator: torch.Generator,
+    ) -> None:
         self.generator = generator
-        self._scales: dict[NestedKey, Tensor] = {}  # noise, bias and delay of every component, (3, D)
         self.state: dict[str, Tensor] = {}
-        for key, group in observations.groups.items():
-            if any(term.sensed for term in group.values()):
-                sizes = torch.tensor(list(observations.sizes[key].values()))
-                scales = torch.tensor([[t.noise, t.bias, t.delay] for t in group.values()], dtype=torch.float32)
-                self._scales[key] = scales.repeat_interleave(sizes, 0).T
-                for name in ("bias", "delayed", "before"):
-                    self.state[_name(key, name)] = torch.zeros(num_envs, int(sizes.sum()), dtype=torch.float32)
+        self._scales: dict[NestedKey, dict[str, Tensor]] = {}  # (D,) each
+        for key, group in groups.items():
+            if any(term.has_errors for term in group.values()):
+                counts = torch.tensor(list(sizes[key].values()))
+                total = int(counts.sum())
+                self._scales[key] = {
+                    name: torch.tensor([getattr(t, name) for t in group.values()]).float().repeat_interleave(counts)
+                    for name in ("noise", "bias", "bias_time", "delay")
+                }
+                for name, size in (("bias", total), ("delay", 1), ("before", total)):
+                    self.state[_name(key, name)] = torch.zeros(num_envs, size, dtype=torch.float32)
 
     def __bool__(self) -> bool:
         return bool(self._scales)
 
-    def start(self, rows: Tensor, observed: dict[NestedKey, Tensor]) -> dict[NestedKey, Tensor]:
-        """Draw biases and delays for episodes of ``rows`` (n,) that start; return what they observe, (n, D) by key."""
-        sensed = dict(observed)
-        for key, (noise, bias, delay) in self._scales.items():
-            value = observed[key]
-            draw = torch.randn(value.shape, generator=self.generator, dtype=torch.float32)
-            drawn = torch.rand(len(rows), 1, generator=self.generator, dtype=torch.float32)
-            for name, fresh in (("bias", bias * draw), ("delayed", (drawn < delay).float()), ("before", value)):
-                self.state[_name(key, name)][rows] = fresh
-            sensed[key] = value + bias * draw + self._noise(noise, value)
-        return sensed
+    def start(self, rows: Tensor) -> dict[NestedKey, Draw]:
+        """Draw biases and delays for episodes of ``rows`` (n,) that start; return their errors, (n, D), by key.
 
-    def apply(self, observed: dict[NestedKey, Tensor]) -> dict[NestedKey, Tensor]:
-        """Return what all robots observe after a step, (N, D) by key, given the true values."""
-        sensed = dict(observed)
-        for key, (noise, _, _) in self._scales.items():
-            value, before = observed[key], self.state[_name(key, "before")]
-            late = torch.where(self.state[_name(key, "delayed")] > 0, before, value)
-            sensed[key] = late + self.state[_name(key, "bias")] + self._noise(noise, value)
-            self.state[_name(key, "before")] = value.clone()
-        return sensed
+        Nothing came before, so that nothing is late; :meth:`remember` the exact values that those rows start with.
+        """
+        drawn = {}
+        for key, scale in self._scales.items():
+            bias = scale["bias"] * self._normal(len(rows), len(scale["bias"]))
+            delay = torch.rand(len(rows), 1, generator=self.generator, dtype=torch.float32)
+            self.state[_name(key, "bias")][rows] = bias
+            self.state[_name(key, "delay")][rows] = delay
+            none = torch.zeros_like(bias)
+            drawn[key] = {"offset": bias + self._noise(scale, len(rows)), "delay": none, "before": none}
+        return drawn
 
-    def _noise(self, scale: Tensor, like: Tensor) -> Tensor:
-        return scale * torch.randn(like.shape, generator=self.generator, dtype=torch.float32)
+    def step(self) -> dict[NestedKey, Draw]:
+        """Return the errors of all robots at the next step, (N, D), by key; biases go on."""
+        drawn = {}
+        for key, scale in self._scales.items():
+            bias, delay, before = (self.state[_name(key, name)] for name in ("bias", "delay", "before"))
+            bias = self.state[_name(key, "bias")] = self._walk(bias, scale)
+            drawn[key] = {
+                "offset": bias + self._noise(scale, len(bias)),
+                "delay": delay * scale["delay"],
+                "before": before,
+            }
+        return drawn
+
+    def remember(self, exact: Mapping[NestedKey, Tensor], rows: Tensor | slice = slice(None)) -> None:
+        """Keep the exact values of ``rows``, (n, D) by key, for the next step's delays."""
+        for key in self._scales:
+            name = _name(key, "before")
+            if isinstance(rows, slice):  # what was handed out before stays as it is
+                self.state[name] = exact[key]
+            else:
+                self.state[name] = self.state[name].index_copy(0, rows, exact[key])
+
+    def _walk(self, bias: Tensor, scale: Mapping[str, Tensor]) -> Tensor:
+        walking = torch.isfinite(scale["bias_time"]) & (scale["bias"] > 0)
+        columns = walking.nonzero().squeeze(-1)
+        if not len(columns):
+            return bias
+        keep = torch.exp(-CONTROL_DT / scale["bias_time"][columns])
+        fresh = torch.sqrt(1.0 - keep.square()) * scale["bias"][columns] * self._normal(len(bias), len(columns))
+        return bias.index_copy(1, columns, keep * bias[:, columns] + fresh)
+
+    def _noise(self, scale: Mapping[str, Tensor], n: int) -> Tensor:
+        return scale["noise"] * self._normal(n, len(scale["noise"]))
+
+    def _normal(self, rows: int, columns: int) -> Tensor:
+        return torch.randn(rows, columns, generator=self.generator, dtype=torch.float32)
+
+
+def columns_of(sizes: Mapping[str, int]) -> dict[str, slice]:
+    """Return where the components of each term of a group are, by name.
+
+    Example:
+        >>> columns_of({"acceleration": 3, "orientation": 2})["orientation"]
+        slice(3, 5, None)
+    """
+    columns, end = {}, 0
+    for name, size in sizes.items():
+        columns[name], end = slice(end, end + size), end + size
+    return columns
 
 
 def _name(key: NestedKey, name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +17,14 @@ from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.finite import all_finite
 from torchrl_atr.envs.tasks.observation_terms import Observations
 from torchrl_atr.envs.tasks.reward_terms import RewardFunction
+from torchrl_atr.envs.tasks.sensor_errors import Draw, GroupErrors, columns_of
 from torchrl_atr.envs.tasks.state import QuadrupedState, Readout, StateReader
 from torchrl_atr.envs.tasks.task import Task
 
 Observed = dict[NestedKey, Tensor]
 Memory = dict[str, Tensor]
+Errors = Mapping[NestedKey, Draw]
+"""What is drawn of sensors' errors for a step, by the key of the group."""
 DIVERGED = "diverged"
 """Cause of an early end beside the task's terminations: the simulation failed, or something is not finite."""
 
@@ -77,6 +81,7 @@ class TaskTerms:
             _try_termination(name, termination, context)
         self.rewards = RewardFunction(task.rewards, context, task.tracking)
         self.observations = Observations(task.observations, context)
+        self._columns = {key: columns_of(sizes) for key, sizes in self.observations.sizes.items()}
         self.causes = (DIVERGED, *task.terminations)
         self._compile()
 
@@ -100,18 +105,37 @@ class TaskTerms:
         action: Tensor,
         previous_action: Tensor,
         memory: Memory,
-        terminated: Tensor | None = None,
+        errors: Errors | None = None,
     ) -> StepContext:
-        none = torch.zeros(len(command), dtype=torch.bool) if terminated is None else terminated
-        return StepContext(state, command, action, previous_action, none, self.scene, self.task.readings, memory)
+        nobody = torch.zeros(len(command), dtype=torch.bool)
+        task, drawn = self.task, errors or {}
+        sensors = {key: GroupErrors(self._columns[key], **draw) for key, draw in drawn.items()}
+        return StepContext(
+            state,
+            command,
+            action,
+            previous_action,
+            nobody,
+            self.scene,
+            task.readings,
+            memory,
+            task.observations,
+            sensors,
+        )
 
-    def first(self, readout: Readout, command: Tensor, x_int: Tensor) -> tuple[Observed, Tensor, Memory]:
-        """Return observations, velocities and memory of episodes that start: a function of the arguments alone."""
+    def first(
+        self, readout: Readout, command: Tensor, x_int: Tensor, errors: Errors
+    ) -> tuple[Observed, Tensor, Memory, Observed]:
+        """Return observations, velocities, memory and exact values of groups with errors, of episodes that start.
+
+        A function of the arguments alone, which can be compiled.
+        """
         state, velocities = self.reader.interpret(readout, None)
         action = torch.zeros(len(x_int), self.joints, dtype=torch.float32)
-        context = self._context(state, command, action, action, {})
+        context = self._context(state, command, action, action, {}, errors)
         context.memory = memory = memory_terms.started(self.task.memory, context)
-        return self._observed(context, x_int), velocities, memory
+        observed, exact = self._observed(context, x_int)
+        return observed, velocities, memory, exact
 
     def evaluate(
         self,
@@ -123,34 +147,39 @@ class TaskTerms:
         command: Tensor,
         x_int: Tensor,
         diverged: Tensor,
-    ) -> tuple[StepOutcome, Tensor, Memory]:
-        """Return outcome, velocities and memory: a function of the arguments alone, which can be compiled."""
+        errors: Errors,
+    ) -> tuple[StepOutcome, Tensor, Memory, Observed]:
+        """Return outcome, velocities, memory and exact values of groups with errors, after a control step.
+
+        A function of the arguments alone, which can be compiled.
+        """
         state, velocities = self.reader.interpret(readout, velocities)
-        context = self._context(state, command, action, previous_action, memory, diverged)
+        context = self._context(state, command, action, previous_action, memory, errors)
+        context.terminated = diverged
         context.memory = memory = memory_terms.updated(self.task.memory, context)
         finite = torch.isfinite(state.position.sum(-1) + state.joint_velocity.sum(-1))
         terminations = self.task.terminations.values()
         causes = torch.stack([diverged | ~finite, *(termination(context) for termination in terminations)])
         context.terminated = causes.any(0)
         reward, terms = self.rewards(context)
-        observed = self._observed(context, x_int)
+        observed, exact = self._observed(context, x_int)
         finite = all_finite([*observed.values(), terms, reward])
         named = dict(zip(self.rewards.terms, terms.unbind()))
         outcome = StepOutcome(reward, named, context.terminated, causes, observed, finite)
-        return outcome, velocities, memory
+        return outcome, velocities, memory, exact
 
     def observe(self, command: Tensor, action: Tensor, memory: Memory, x_int: Tensor) -> Observed:
-        """Return what all robots observe now, by key, (N, features) each, raw SI units."""
-        return self._observed(self._context(self.reader.read(), command, action, action, memory), x_int)
+        """Return what all robots would observe now with exact sensors, by key, (N, features) each, raw SI units."""
+        return self._observed(self._context(self.reader.read(), command, action, action, memory), x_int)[0]
 
-    def _observed(self, context: StepContext, x_int: Tensor) -> Observed:
+    def _observed(self, context: StepContext, x_int: Tensor) -> tuple[Observed, Observed]:
+        """Return what is observed, and the exact values of the groups that are observed with errors."""
         groups = self.observations(context)
-        return with_command({**groups, "command": context.command.clone(), ("privileged", "intrinsic"): x_int})
-
-
-def with_command(observed: Observed) -> Observed:
-    """Add ``observation``: o_t is ``proprio`` and the command."""
-    return {**observed, "observation": torch.cat([observed["proprio"], observed["command"]], -1)}
+        exact = {key: groups[key] for key in context.errors}
+        groups.update({key: errors(exact[key]) for key, errors in context.errors.items()})
+        observation = torch.cat([groups["proprio"], context.command], -1)  # o_t is proprioception and the command
+        own = {"command": context.command.clone(), ("privileged", "intrinsic"): x_int, "observation": observation}
+        return {**groups, **own}, exact
 
 
 def _try_termination(name: str, termination: Any, context: StepContext) -> None:

@@ -11,6 +11,7 @@ from torchrl_atr.envs.profiles import get_readings
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks import StepContext
 from torchrl_atr.envs.tasks.riding import TERMINATIONS
+from torchrl_atr.envs.tasks.riding.resets import DISPLACEMENT, TURN
 
 
 def ended(context: StepContext) -> list[str]:
@@ -51,7 +52,7 @@ def test_a_state_that_is_no_number_ends_the_episode_too(name, value):
     readout["qpos" if name == "root_qpos" else "qvel"][1, column] = value
     idle, still = torch.zeros(2, 12), torch.zeros(2, dtype=torch.bool)
     before = runner.terms.reader.velocities, idle, idle, runner.memory
-    outcome, *_ = runner.terms.evaluate(readout, *before, torch.zeros(2, 2), runner.x_int, still)
+    outcome, *_ = runner.terms.evaluate(readout, *before, torch.zeros(2, 2), runner.x_int, still, {})
     assert outcome.terminated.tolist() == [False, True]
     assert not outcome.finite
 
@@ -59,3 +60,29 @@ def test_a_state_that_is_no_number_ends_the_episode_too(name, value):
 def test_the_tilt_limit_is_a_reading(make_context):
     assert ended(make_context(euler=[0.0, 0.9, 0.0])) == []
     assert ended(make_context(euler=[0.0, 0.9, 0.0], readings=get_readings("ancestor"))) == ["tilted"]
+
+
+def test_displaced_robots_stand_shifted_and_turned_within_the_declared_bounds():
+    env = RidingEnv(num_envs=400, num_threads=1, seed=0, displaced_start=0.5, randomization="off")
+    state = env.runner.terms.reader.read()
+    nominal = RidingEnv(num_envs=1, num_threads=1, seed=0, randomization="off").runner.terms.reader.read()
+    moved = (state.relative_position - nominal.relative_position).abs()
+    turned = state.relative_yaw[:, 0].abs()
+    assert (turned > 1e-6).float().mean().item() == pytest.approx(0.5, abs=0.08)
+    assert 0.9 * TURN < turned.max() <= TURN
+    bounds = torch.tensor(DISPLACEMENT)
+    lever = nominal.relative_position.norm() * TURN  # the robot's frame is turned about the middle of the boards
+    assert (moved <= bounds + lever + 1e-6).all()
+    assert (moved.amax(0) > 0.9 * bounds).all()
+    assert state.contacts.shape == (400, 4)
+    td = env.rollout(25, break_when_any_done=False)
+    assert td["next", "terminated"].float().mean() < 0.01
+
+
+def test_a_displaced_robot_that_moves_moves_with_the_board():
+    env = RidingEnv(num_envs=64, num_threads=1, seed=0, displaced_start=1.0, moving_start=1.0)
+    env.reset(env.full_state_spec.zero().set("command", torch.tensor([[2.0, 1.0]]).expand(64, 2).clone()))
+    state = env.runner.terms.reader.read()
+    arm = state.position[:, :2] - state.platform_position[:, :2]
+    rigid = state.platform_velocity[:, :2] + state.speeds[:, 1:] * torch.stack([-arm[:, 1], arm[:, 0]], -1)
+    torch.testing.assert_close(state.velocity[:, :2], rigid, atol=1e-4, rtol=0)

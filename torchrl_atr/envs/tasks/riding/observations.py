@@ -10,8 +10,9 @@ from torch import Tensor
 from torchrl_atr.envs.profiles import Readings
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.dead_reckoning import KEY
 from torchrl_atr.envs.tasks.observation_terms import Group, ObservationTerm
-from torchrl_atr.envs.tasks.proprioception import BODY, DEAD_RECKONED, PROPRIO, SPEEDS
+from torchrl_atr.envs.tasks.proprioception import BODY, SPEEDS
 from torchrl_atr.envs.tasks.riding.forecast import FORECAST_MIRROR, tracking_forecast
 from torchrl_atr.envs.tasks.rotations import rotate_back
 
@@ -51,16 +52,18 @@ def extrinsic(readings: Readings) -> dict[str, ObservationTerm]:
     return {name: term for name, term in EXTRINSIC.items() if readings.relative_pose or "relative" not in name}
 
 
-def observations(readings: Readings) -> Mapping[NestedKey, Group]:
+def observations(readings: Readings, proprio: Group, dead_reckoned: Group) -> Mapping[NestedKey, Group]:
     """Return the groups of what a rider and its critic observe.
 
     Args:
         readings: which components the extrinsic state has (A1).
+        proprio: what is sensed.
+        dead_reckoned: what is computed of it.
     """
     return {
-        "proprio": PROPRIO,
+        "proprio": proprio,
         "speeds": SPEEDS,
-        "odometry": DEAD_RECKONED,
+        KEY: dead_reckoned,
         ("privileged", "extrinsic"): extrinsic(readings),
         ("privileged", "outlook"): {"outlook": ObservationTerm(tracking_forecast, FORECAST_MIRROR)},
     }

@@ -26,6 +26,12 @@ PLATFORM_PUSH = (0.5, 0.25)
 """Largest change of the platform's forward speed (m/s) and yaw rate (rad/s) (A33)."""
 
 
+DISPLACEMENT = (0.1, 0.06)
+"""How far ahead and to the side of the middle a displaced robot starts at most, m."""
+TURN = 0.2
+"""How far it is turned at most, rad."""
+
+
 def push(engine: Engine, rows: Tensor, generator: torch.Generator) -> None:
     """Kick ``rows``: the robot in the plane, the platform through the drive law's state.
 
@@ -40,25 +46,31 @@ def push(engine: Engine, rows: Tensor, generator: torch.Generator) -> None:
     engine.hook.state["speeds"][rows] += torch.tensor(PLATFORM_PUSH, dtype=torch.float64) * draw[:, 2:]
 
 
-def start(moving_start: float) -> Reset:
-    """Return how rides begin.
+def start(moving: float = 0.0, displaced: float = 0.0) -> Reset:
+    """Return how rides begin: standing at rest in the middle, but for two shares of the starts, for training.
 
     Args:
-        moving_start: share of the starts that are on the move, in [0, 1].
+        moving: share of the starts that are on the move, in [0, 1].
+        displaced: share of those with the robot shifted and turned on the boards, in [0, 1].
     """
-    return partial(_start, moving_start) if moving_start > 0.0 else stand
+    return partial(_start, moving, displaced) if moving > 0.0 or displaced > 0.0 else stand
 
 
-def _start(moving_start: float, scene: Scene, command: Tensor, generator: torch.Generator) -> InitialState:
-    """Start in the standing pose, not moving relative to the transporter, which may move at part of the command.
+def _start(moving: float, displaced: float, scene: Scene, command: Tensor, generator: torch.Generator) -> InitialState:
+    """Start in the standing pose, not moving relative to the transporter.
 
-    The tracking kernels are steepest near their peak, and the yaw that a lean earns comes seconds later: a rider that
-    starts at (part of) the commanded yaw rate feels at once that leaning keeps it, one that starts at rest pays for the
-    lean long before it turns. Each component of a moving start is uniform between 0 and its command.
+    The transporter may move at part of the command: tracking kernels are steepest near their peak, and the yaw that a
+    lean earns comes seconds later. A rider that starts at (part of) the commanded yaw rate feels at once that leaning
+    keeps it, one that starts at rest pays for the lean long before it turns. Each component of a moving start is
+    uniform between 0 and its command. A displaced robot stands up to :data:`DISPLACEMENT` from the middle and turned
+    by up to :data:`TURN`, as after a minute of pushes, and learns to step back.
     """
-    draw = torch.rand(len(command), 3, generator=generator, dtype=torch.float64)
-    speeds = torch.where(draw[:, :1] < moving_start, draw[:, 1:] * command.double(), 0.0)
+    n = len(command)
+    draw = torch.rand(n, 4, generator=generator, dtype=torch.float64)
+    speeds = torch.where(draw[:, :1] < moving, draw[:, 1:3] * command.double(), 0.0)
     qpos, qvel, _ = stand(scene, command, generator)
+    place = uniform(n, 3, generator).where(draw[:, 3:] < displaced, 0.0)
+    _displace(scene, qpos, place * torch.tensor([*DISPLACEMENT, TURN], dtype=torch.float64))
     (forward, _, yaw), root = scene.support_layout.planar_dof, scene.layout.root_dof
     qvel[:, forward], qvel[:, yaw] = speeds[:, 0], speeds[:, 1]
     # the robot moves with the board as one rigid body: v + omega x r
@@ -67,6 +79,18 @@ def _start(moving_start: float, scene: Scene, command: Tensor, generator: torch.
     qvel[:, root + 1] = speeds[:, 1] * offset[:, 0]
     qvel[:, root + 5] = speeds[:, 1]
     return InitialState(qpos, qvel, (speeds != 0.0).any(-1))
+
+
+def _displace(scene: Scene, qpos: Tensor, place: Tensor) -> None:
+    """Shift and turn robots, ``qpos`` (n, nq), about the middle of the boards by x, y (m) and yaw (rad), (n, 3)."""
+    x, half = scene.layout.root_qpos, place[:, 2] / 2
+    cosine, sine = torch.cos(place[:, 2]), torch.sin(place[:, 2])
+    ahead, left = qpos[:, x].clone(), qpos[:, x + 1].clone()
+    qpos[:, x] = cosine * ahead - sine * left + place[:, 0]
+    qpos[:, x + 1] = sine * ahead + cosine * left + place[:, 1]
+    w, i, j, k = qpos[:, x + 3 : x + 7].clone().unbind(-1)
+    c, s = torch.cos(half), torch.sin(half)
+    qpos[:, x + 3 : x + 7] = torch.stack([c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w], -1)
 
 
 def off_the_boards(c: StepContext) -> Tensor:

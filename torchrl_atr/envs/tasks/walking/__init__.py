@@ -14,11 +14,13 @@ from torchrl_atr.envs.models.robot_file import describe_robot
 from torchrl_atr.envs.profiles import Readings, get_readings
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.dead_reckoning import KEY, dead_reckoning
 from torchrl_atr.envs.tasks.events import PUSH_INTERVAL, Disturbance, push_robot, tilted, too_low
 from torchrl_atr.envs.tasks.observation_terms import ObservationTerm
 from torchrl_atr.envs.tasks.parameters import robot_parameters
-from torchrl_atr.envs.tasks.proprioception import BODY, DEAD_RECKONED, ODOMETRY, PROPRIO, SPEEDS
+from torchrl_atr.envs.tasks.proprioception import BODY, PROPRIO, SPEEDS
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
+from torchrl_atr.envs.tasks.sensors import SensorSet, with_sensors
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
 from torchrl_atr.envs.tasks.walking.gait import CLOCK_MIRROR, MEMORY, clock
 from torchrl_atr.envs.tasks.walking.rewards import WALKING_REWARDS, effort_schedule
@@ -35,6 +37,7 @@ def walking(
     robot: str | Path | RobotSpec = "a1",
     *,
     profile: str | Readings = "default",
+    sensors: str | SensorSet = "ideal",
     pushes: bool = True,
     max_speed: float | None = None,
     rewards: Mapping[str, RewardTerm] = WALKING_REWARDS,
@@ -44,6 +47,7 @@ def walking(
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
         profile: name of a profile, or :class:`~torchrl_atr.envs.profiles.Readings`.
+        sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or one of your own.
         pushes: whether the robot is pushed every 3 s.
         max_speed: largest commanded speed, m/s; None for 1.5 or, of large robots, 3.
         rewards: the terms of the reward by name.
@@ -64,6 +68,7 @@ def walking(
     grid = CommandGrid(
         bounds, (0.25, 0.25), bounds, (0.25, 0.25), forward_only=True, still=0.1, turning=0.1, straight=0.15
     )
+    dead_reckoned, integrated = dead_reckoning("integral")
     arguments: dict[str, Any] = {"robot": describe_robot(robot)}
     return Task(
         name="walking",
@@ -71,9 +76,9 @@ def walking(
         support=FlatGround(),
         command=CommandSpace(("speed", "yaw_rate"), ("m/s", "rad/s"), grid, mirrors.FORWARD_YAW),
         observations={
-            "proprio": {**PROPRIO, "clock": ObservationTerm(clock, CLOCK_MIRROR)},
+            "proprio": {**with_sensors(PROPRIO, sensors), "clock": ObservationTerm(clock, CLOCK_MIRROR)},
             "speeds": SPEEDS,
-            "odometry": DEAD_RECKONED,
+            KEY: dead_reckoned,
             ("privileged", "extrinsic"): BODY,
             ("privileged", "outlook"): {
                 "errors": ObservationTerm(_errors, (*mirrors.FORWARD_YAW, -1.0, 1.0), unit="m/s"),
@@ -85,7 +90,7 @@ def walking(
         intrinsics=robot_parameters(walker, readings),
         terminations={"tilted": tilted, "too_low": too_low},
         disturbances={"push": Disturbance(push_robot, PUSH_INTERVAL)} if pushes else {},
-        memory={"odometry": ODOMETRY, **MEMORY},
+        memory={KEY: integrated, **MEMORY},
         tracking=("forward_command", "turning_command"),
         state_reader=WalkingStateReader,
         readings=readings,

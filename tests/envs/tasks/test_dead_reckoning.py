@@ -1,0 +1,93 @@
+"""Dead reckoning: exact with exact sensors, bounded with biased ones, and as sure as it should be."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+from torch import Tensor
+
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs import QuadrupedEnv
+from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.envs.profiles import get_readings
+from torchrl_atr.envs.tasks import riding
+from torchrl_atr.envs.tasks.dead_reckoning import BIAS, KEY, LEAK_TIME, METHODS, START_STD, dead_reckoning
+from torchrl_atr.envs.tasks.rotations import matrix_from_euler
+
+
+def drive(
+    method: str, speed: float, yaw_rate: float, seconds: float, bias: float = 0.0, roll: float = 0.0
+) -> tuple[Tensor, Tensor]:
+    """What is observed and carried after a steady drive, (1, 3) and (1, size); the accelerometer has a bias along x."""
+    group, term = dead_reckoning(method)
+    rotation = matrix_from_euler(*torch.tensor([[roll], [0.0], [0.0]]))
+    euler = torch.tensor([[roll, 0.0, 0.0]])
+    state = SimpleNamespace(rotation=rotation, euler=euler, velocity=torch.tensor([[speed, 0.0, 0.0]]))
+    world = torch.tensor([[bias, speed * yaw_rate, 0.0]])
+    sensed = {
+        "acceleration": (rotation * world.unsqueeze(-1)).sum(-2),
+        "angular_velocity": (rotation * torch.tensor([[0.0, 0.0, yaw_rate]]).unsqueeze(-1)).sum(-2),
+        "orientation": euler[:, :2],
+    }
+    context = SimpleNamespace(state=state, readings=get_readings(), memory={}, sensed=sensed.__getitem__)
+    context.memory[KEY] = term.start(context)
+    for _ in range(round(seconds / CONTROL_DT)):
+        context.memory[KEY] = term.update(context)
+    return group[KEY].function(context), context.memory[KEY]
+
+
+@pytest.mark.parametrize("method", ["integral", "kalman_filter"])
+@pytest.mark.parametrize("roll", [0.0, 0.2])
+def test_a_steady_turn_keeps_its_speed_with_exact_sensors(method, roll):
+    observed, _ = drive(method, 2.0, 0.5, 20.0, roll=roll)
+    assert observed[0, 0].item() == pytest.approx(2.0, abs=0.02)
+
+
+def test_a_bias_grows_without_bound_in_the_integral_and_to_a_bound_in_the_leaky_one():
+    drifted = drive("integral", 0.0, 0.0, 60.0, bias=0.05)[0][0, 0].item()
+    assert drifted == pytest.approx(0.05 * 60.0, rel=1e-3)
+    leaky = drive("leaky_integral", 0.0, 0.0, 60.0, bias=0.05)[0][0, 0].item()
+    assert leaky == pytest.approx(0.05 * LEAK_TIME, rel=0.01)
+
+
+def test_a_turn_shows_the_filter_the_bias():
+    observed, carried = drive("kalman_filter", 2.0, 0.5, 60.0, bias=0.05)
+    assert observed[0, 0].item() == pytest.approx(2.0, abs=0.15)  # the integral is 3 m/s off
+    assert carried[0, 2].item() == pytest.approx(0.05, abs=0.02)
+
+
+def test_without_a_turn_the_filter_knows_that_it_knows_less_and_less():
+    for seconds in (2.0, 5.0):
+        std = drive("kalman_filter", 0.0, 0.0, seconds)[0][0, 2].item()
+        assert std == pytest.approx((START_STD**2 + (BIAS * seconds) ** 2) ** 0.5, rel=0.1)
+    assert drive("kalman_filter", 2.0, 0.5, 60.0)[0][0, 2] < 0.3
+
+
+def test_a_covariance_stays_symmetric_and_positive():
+    covariance = drive("kalman_filter", 3.0, 1.0, 60.0)[1][0, 4:].reshape(4, 4)
+    torch.testing.assert_close(covariance, covariance.T, rtol=1e-3, atol=1e-7)
+    assert torch.linalg.eigvalsh(covariance.double()).min() > 0.0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_mirror_image_of_a_turn_is_reckoned_as_the_mirror_image(method):
+    ours, theirs = (drive(method, 1.0, side * 0.5, 5.0, roll=side * 0.1)[0] for side in (1.0, -1.0))
+    torch.testing.assert_close(ours * torch.tensor(METHODS[method].mirror), theirs)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_it_reads_what_is_sensed_and_not_the_truth(method):
+    far = {"acceleration": {"bias": 5.0}}
+    envs = [
+        QuadrupedEnv(riding(sensors=sensors, dead_reckoning=method, pushes=False), 8, seed=0, num_threads=1)
+        for sensors in ("ideal", far)
+    ]
+    exact, biased = (env.rollout(5)["next", KEY][:, -1, :2] for env in envs)
+    assert (exact - biased).abs().mean() > 0.1
+
+
+def test_an_unknown_method_is_named():
+    with pytest.raises(InputError, match="dead_reckoning 'magic'"):
+        riding(dead_reckoning="magic")

@@ -1,0 +1,189 @@
+"""Velocity by dead reckoning: what a robot computes from its IMU, three ways."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from torchrl_atr._checks import check_choice
+from torchrl_atr.envs.physics.engine import CONTROL_DT
+from torchrl_atr.envs.tasks import mirrors
+from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.memory_terms import MemoryTerm
+from torchrl_atr.envs.tasks.observation_terms import Group, ObservationTerm
+from torchrl_atr.envs.tasks.rotations import matrix_from_euler, rotate, rotate_about, rotate_back
+from torchrl_atr.envs.tasks.state import GRAVITY
+
+KEY = "dead_reckoned_velocity"
+"""Name of the memory term, and of the group that observes it."""
+LEAK_TIME = 10.0
+"""Time constant τ of the leaky integral, s."""
+BIAS, BIAS_TIME = 0.05, 100.0
+"""Standard deviation (m/s²) and correlation time (s) of the accelerometer bias that the filter assumes."""
+ACCELERATION_NOISE = 0.1
+"""Standard deviation of the accelerometer's white noise that it assumes, m/s²."""
+START_STD = 0.01
+"""Standard deviation of the velocity that an episode starts with, m/s."""
+SIDE_SLIP = 1.0
+"""Standard deviation of the speed to the side, taken as a measurement of zero at every step, m/s.
+
+Larger than the slip itself, centimetres a second: slips of successive steps are alike, which a filter of independent
+measurements does not know. Of 0.5, 1, 2 and 4 m/s this one has the smallest error after a minute with pushes.
+"""
+
+
+def _start(c: StepContext) -> Tensor:
+    """Return v_B in the body frame, m/s, (n, 3): an episode knows the velocity that it starts with."""
+    return rotate_back(c.state.rotation, c.state.velocity)
+
+
+def _acceleration(c: StepContext) -> Tensor:
+    """Return the measured v̇_B without gravity, body frame, m/s², (N, 3)."""
+    measured = c.sensed("acceleration")
+    if not c.readings.gravity_in_acceleration:
+        return measured
+    roll, pitch = c.sensed("orientation").unbind(-1)
+    return measured - GRAVITY * matrix_from_euler(roll, pitch, torch.zeros_like(roll))[:, 2]
+
+
+def integral(c: StepContext, key: str = KEY) -> Tensor:
+    """Integrate the measured acceleration: the velocity before, turned back by ω_B dt, plus v̇_B dt.
+
+    Exact with exact sensors; the bias of a real accelerometer, 0.05 m/s², makes it drift by 3 m/s in a minute.
+
+    Args:
+        c: its memory ``key`` is the velocity before the step, body frame, m/s, (N, 3).
+        key: name of the memory term.
+
+    Returns:
+        (N, 3), body frame, m/s.
+    """
+    turned = rotate_about(c.memory[key], -CONTROL_DT * c.sensed("angular_velocity"))
+    return turned + CONTROL_DT * _acceleration(c)
+
+
+def leaky_integral(c: StepContext, key: str = KEY) -> Tensor:
+    """Integrate likewise, and forget with :data:`LEAK_TIME`: errors stay bounded, steady speeds fade.
+
+    Returns:
+        (N, 3), body frame, m/s.
+    """
+    return math.exp(-CONTROL_DT / LEAK_TIME) * integral(c, key)
+
+
+def kalman_filter(c: StepContext, key: str = KEY) -> Tensor:
+    """Estimate velocity and accelerometer bias with a Kalman filter that knows: a transporter does not move sideways.
+
+    The state is [v_x, v_y, b_x, b_y] in the frame that turns with the body's yaw ψ and is level: v̇ = a - b - ψ̇ × v, and
+    b is a Gauss-Markov process. At every step v_y = 0 is taken as measured, the nonholonomic constraint of wheeled
+    vehicles: in a turn, the acceleration to the side is ψ̇ v_x, so that a wrong v_x shows, and so does b.
+
+    Args:
+        c: its memory ``key`` is the state (4) and its covariance (16), (N, 20).
+        key: name of the memory term.
+
+    Returns:
+        The same after the step, (N, 20), m/s and m/s².
+    """
+    state, covariance = c.memory[key][:, :4], c.memory[key][:, 4:].unflatten(-1, (4, 4))
+    acceleration, yaw_rate = _level(c)
+    transition = _transition(yaw_rate)
+    moved = pad(CONTROL_DT * acceleration, (0, 2))
+    state = rotate(transition, state) + rotate(transition, moved)
+    covariance = transition @ covariance @ transition.mT + torch.diag(_PROCESS_NOISE.to(state))
+    side = covariance[:, :, 1]  # covariances with v_y
+    gain = side / (side[:, 1:2] + SIDE_SLIP**2)
+    state = state - gain * state[:, 1:2]
+    covariance = covariance - gain.unsqueeze(-1) * side.unsqueeze(-2)
+    return torch.cat([state, covariance.flatten(-2)], -1)
+
+
+_KEEP = math.exp(-CONTROL_DT / BIAS_TIME)
+_PROCESS_NOISE = torch.tensor([(ACCELERATION_NOISE * CONTROL_DT) ** 2] * 2 + [(1.0 - _KEEP**2) * BIAS**2] * 2)
+_START_COVARIANCE = torch.diag(torch.tensor([START_STD**2] * 2 + [BIAS**2] * 2))
+
+
+def _level(c: StepContext) -> tuple[Tensor, Tensor]:
+    """Return the measured acceleration along and across the heading, (N, 2), and the yaw rate, (N,)."""
+    roll, pitch = c.sensed("orientation").unbind(-1)
+    tilt = matrix_from_euler(roll, pitch, torch.zeros_like(roll))
+    _, wy, wz = c.sensed("angular_velocity").unbind(-1)
+    yaw_rate = (torch.sin(roll) * wy + torch.cos(roll) * wz) / torch.cos(pitch)
+    return rotate(tilt, _acceleration(c))[:, :2], yaw_rate
+
+
+def _transition(yaw_rate: Tensor) -> Tensor:
+    """Return F of the state, (N, 4, 4): v - b dt turned back by the yaw of the step, and the bias that stays."""
+    angle = CONTROL_DT * yaw_rate
+    cosine, sine, zero = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)
+    keep = torch.full_like(angle, _KEEP)
+    rows = [
+        cosine, sine, -CONTROL_DT * cosine, -CONTROL_DT * sine,
+        -sine, cosine, CONTROL_DT * sine, -CONTROL_DT * cosine,
+        zero, zero, keep, zero,
+        zero, zero, zero, keep,
+    ]  # fmt: skip
+    return torch.stack(rows, -1).unflatten(-1, (4, 4))
+
+
+def _start_filter(c: StepContext) -> Tensor:
+    """Return the state and covariance of episodes that start, (n, 20): a known velocity, an unknown bias."""
+    heading = c.state.euler.clone()
+    heading[:, :2] = 0.0
+    velocity = rotate_back(matrix_from_euler(*heading.unbind(-1)), c.state.velocity)[:, :2]
+    covariance = _START_COVARIANCE.to(velocity).flatten().expand(len(velocity), -1)
+    return torch.cat([pad(velocity, (0, 2)), covariance], -1)
+
+
+def _velocity(c: StepContext, key: str) -> Tensor:
+    return c.memory[key]
+
+
+def _filtered(c: StepContext, key: str) -> Tensor:
+    """Return v_x and v_y along and across the heading, and the standard deviation of v_x, m/s, (N, 3)."""
+    memory = c.memory[key]
+    return torch.cat([memory[:, :2], memory[:, 4:5].clamp_min(0.0).sqrt()], -1)
+
+
+class _Method(NamedTuple):
+    size: int
+    update: Callable[[StepContext, str], Tensor]
+    start: Callable[[StepContext], Tensor]
+    observe: Callable[[StepContext, str], Tensor]
+    mirror: tuple[float, ...]
+    parts: tuple[str, ...]
+
+
+METHODS: Mapping[str, _Method] = {
+    "integral": _Method(3, integral, _start, _velocity, mirrors.POLAR, ("x", "y", "z")),
+    "leaky_integral": _Method(3, leaky_integral, _start, _velocity, mirrors.POLAR, ("x", "y", "z")),
+    "kalman_filter": _Method(20, kalman_filter, _start_filter, _filtered, (1.0, -1.0, 1.0), ("x", "y", "std")),
+}
+"""By name; what each observes is (N, 3), m/s."""
+
+
+def dead_reckoning(method: str = "kalman_filter", key: str = KEY) -> tuple[Group, MemoryTerm]:
+    """Return the group that observes a dead-reckoned velocity, and the memory term that it needs.
+
+    Args:
+        method: one of :data:`METHODS`.
+        key: name of the memory term, and of the observation.
+
+    Raises:
+        UnknownNameError: for an unknown method.
+
+    Example:
+        >>> from torchrl_atr.envs.tasks import riding
+        >>> task, (group, memory) = riding(), dead_reckoning("integral", "drifting")
+        >>> task = task.replace(memory={**task.memory, "drifting": memory}).with_observation("drifting", **group)
+    """
+    check_choice("dead_reckoning", method, tuple(METHODS))
+    chosen = METHODS[method]
+    term = ObservationTerm(partial(chosen.observe, key=key), chosen.mirror, parts=chosen.parts, unit="m/s")
+    return {key: term}, MemoryTerm(chosen.size, partial(chosen.update, key=key), chosen.start)
