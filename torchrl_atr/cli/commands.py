@@ -105,6 +105,8 @@ def evaluate(arguments: argparse.Namespace) -> None:
                 counter(done, total)
 
             chosen = {**DEPLOYED, **other, "randomization": arguments.randomization}
+            if arguments.sensors is not None:
+                chosen["sensors"] = arguments.sensors
             measured = PROTOCOLS[arguments.protocol](
                 arguments, config, networks, partial(make_env, config, **chosen), progress
             )
@@ -114,6 +116,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
             "transporter": env.base_env.scene.support.name,
             "seed": arguments.seed,
             "randomization": arguments.randomization,
+            "sensors": arguments.sensors or config.sensors,
             "checkpoint": arguments.checkpoint,
             "act_source": arguments.act_source,
         }

@@ -153,6 +153,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--robot", help="measure another one than it was trained with; needs --output")
     parser.add_argument("--transporter", help="measure on another one than it was trained on; needs --output")
     parser.add_argument("--randomization", choices=("train", "test", "off"), default="train")
+    parser.add_argument("--sensors", metavar="NAME", help="ideal, realistic or one of your own; default: the run's")
     parser.add_argument(
         "--max-speed", type=_number(float, 0, 100), help="m/s; default: 2, or the task's if that is less"
     )
