@@ -32,7 +32,7 @@ class TrainingLoop:
         self.config, self.riding = config, riding
         self.trainer = Trainer(config, folder, start=RIDE if riding else None)
         self.learner, self.env = self.trainer.learner, self.trainer.env
-        self.collection = self.trainer.member.collection
+        self.collection = self.trainer.collection
 
     def iterate(self) -> int:
         """What :meth:`Trainer.train` repeats: collect, learn. Returns the frames."""

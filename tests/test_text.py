@@ -105,7 +105,7 @@ def test_the_columns_of_a_replay_do_not_run_together(value):
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e9, float("nan")])
 def test_lines_of_training_fit_120_columns(tmp_path, capsys, size):
     progress = progress_module.Progress(tmp_path, TrainConfig())
-    progress._shown = {each.name: 1.2345 * size for each in progress_module._SHOWN}
+    progress._shown = {each.name: 1.2345 * size for each in progress_module._COLUMNS}
     progress._shown |= {"frames": 123_456_789, "minutes": 60.0 * 99}
     lines = [*progress_module._HEAD.splitlines(), progress._line()]
     assert {len(line) for line in lines} == {119}

@@ -27,6 +27,7 @@ class Stopped(KeyboardInterrupt):
 class Interrupt:
     """Turns SIGINT and SIGTERM into :class:`Stopped`, or notes the first one and raises for the next.
 
+    Python itself raises for SIGINT alone, wherever the program is; torch and TorchRL leave the signals of a run alone.
     A context manager for the main thread; in any other it leaves signals alone. One may stand inside another: the
     inner one counts.
 

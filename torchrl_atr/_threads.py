@@ -1,10 +1,12 @@
-"""Let torch use as many threads as CPUs are free."""
+"""Let torch use as many threads as CPUs are free, and one where others only cost."""
 
 from __future__ import annotations
 
+import functools
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from typing import Any, TypeVar
 
 import torch
 
@@ -19,6 +21,44 @@ _SLACK = 0.4
 """CPUs that neighbours may use before torch leaves them one."""
 _QUIET = 3
 """Measurements in a row with enough CPUs free before torch takes more threads again."""
+_FEW_ROWS = 2048
+"""Rows up to which torch's other threads cost more than they give: few of its operations are shared out at all."""
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Run a block with one of torch's threads: others would spin on the CPUs that physics needs."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def one_torch_thread_if_small(method: F) -> F:
+    """Decorate a method of what has a ``batch_size``: where that is small, it runs with one of torch's threads.
+
+    Sines, exponentials and the like wake the others however small a tensor is. Each time they have to be waited for,
+    long where physics or another process has their CPU, and afterwards they spin on it for a while.
+
+    Example:
+        >>> class Batch:
+        ...     batch_size = torch.Size([4])
+        ...     @one_torch_thread_if_small
+        ...     def threads(self):
+        ...         return torch.get_num_threads()
+        >>> Batch().threads()
+        1
+    """
+
+    @functools.wraps(method)
+    def call(owner: Any, *arguments: Any, **options: Any) -> Any:
+        with one_torch_thread() if owner.batch_size.numel() <= _FEW_ROWS else nullcontext():
+            return method(owner, *arguments, **options)
+
+    return call  # type: ignore[return-value]
 
 
 class TorchThreads:
@@ -26,7 +66,8 @@ class TorchThreads:
 
     Every operation of torch ends when the last of its threads does. Where another process keeps one of them from its
     CPU, all others wait, and training is many times slower than with fewer threads. So the number is halved until it
-    fits the free CPUs, and doubled when they are free again. A line says so the first time.
+    fits the free CPUs, and doubled when they are free again. A line says so the first time. torch's own number, and the
+    ``num_threads`` of TorchRL's collectors, are fixed.
 
     Args:
         limit: the most threads; 0 for as many as torch has, within the CPUs that this process may use.

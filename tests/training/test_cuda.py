@@ -41,7 +41,7 @@ def learned(tmp_path, **settings):
     """A learner's parameters and metrics after several updates on one batch that both of them see."""
     torch.manual_seed(0)
     trainer = Trainer(make_config({**SETTINGS, "minibatches": 1, **settings}), tmp_path)
-    batch = trainer.member.collection.collect().clone()
+    batch = trainer.collection.collect().clone()
     metrics = [trainer.learner.update(batch.clone()) for _ in range(3)]
     trainer._close()
     return {name: p.detach().clone() for name, p in trainer.learner.networks.named_parameters()}, metrics
@@ -86,7 +86,7 @@ def test_no_optimiser_step_waits_for_the_gpu(tmp_path, uncompiled_env, compiled)
         trainer = Trainer(make_config(settings), tmp_path / str(epochs))
         for _ in range(3):
             trainer.iterate()
-        batch = trainer.member.collection.collect().clone()
+        batch = trainer.collection.collect().clone()
         found.append(len(waits(lambda learner=trainer.learner, data=batch: learner.update(data))))
         trainer._close()
     assert found[0] == found[1]

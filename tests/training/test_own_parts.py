@@ -123,6 +123,60 @@ def test_a_logger_gets_what_progress_csv_gets(tmp_path):
     assert not (tmp_path / "run" / "tensorboard").exists()
 
 
+@pytest.mark.parametrize("name", ["csv", "tensorboard", "mlflow", "wandb"])
+def test_a_named_logger_gets_what_progress_csv_gets_and_is_closed(tmp_path, monkeypatch, name):
+    made = []
+
+    def make(*arguments, **options):
+        made.append((arguments, options, Spy()))
+        return made[-1][-1]
+
+    monkeypatch.setattr("torchrl.record.loggers.get_logger", make)
+    monkeypatch.setattr("torchrl.record.loggers.MLFlowLogger", make)
+    monkeypatch.setattr("torchrl_atr.training.loggers.find_spec", lambda package: True)
+    Trainer(make_config({**SMALL, "logger": name}), tmp_path / "run", **CARTS).train()
+    with (tmp_path / "run" / "progress.csv").open() as file:
+        frames = [int(float(row["frames"])) for row in csv.DictReader(file)]
+    assert len(made) == (name != "csv")
+    for _, _, spy in made:
+        assert spy.steps == frames
+        assert spy.closed
+        assert ("num_envs" in spy.settings) == (name != "tensorboard")
+
+
+class Spy:
+    """Stands in for a logger of TorchRL, and for its experiment."""
+
+    def __init__(self):
+        self.steps, self.settings, self.closed, self.experiment = [], {}, False, self
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.closed = True
+
+    def log_hparams(self, settings):
+        self.settings = settings
+
+    def log_metrics(self, metrics, step):
+        assert "train/loss_objective" in metrics
+        self.steps.append(step)
+
+
+def test_tensorboard_shows_a_step_once_that_a_resumed_run_took_again(tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    trainer = Trainer(make_config(SMALL), tmp_path, **CARTS)
+    state = {}
+    trainer.train(lambda metrics: state.update(load_checkpoint(tmp_path)) if metrics["iteration"] == 1 else None)
+    assert state["frames"] == 0  # it is killed before the next one is written, say
+    Trainer(make_config(SMALL), tmp_path, state, **CARTS).train()
+    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    steps = [event.step for event in events.Scalars("train/loss_objective")]
+    assert steps == sorted(set(steps)) != []
+
+
 def test_a_run_of_own_parts_is_loaded_with_them_and_nothing_less(tmp_path, capsys):
     Trainer(make_config(SMALL), tmp_path, **CARTS).train()
     before = {file.name: file.read_bytes() for file in tmp_path.iterdir() if file.is_file()}
@@ -141,17 +195,12 @@ def test_a_run_of_own_parts_is_loaded_with_them_and_nothing_less(tmp_path, capsy
         assert torch.equal(begun.learner.networks.state_dict()[name], value), name
 
 
-@pytest.mark.parametrize(
-    "settings", [{"learners": 2}, {"collector": "process", "workers": 2}], ids=["learners", "workers"]
-)
-def test_other_processes_make_the_parts_too(tmp_path, settings):
+def test_other_processes_make_the_env_too(tmp_path):
     recorder = Recorder()
-    config = make_config({**SMALL, **settings, "total_frames": 2 * 32})
+    config = make_config({**SMALL, "collector": "process", "workers": 2, "total_frames": 2 * 32})
     trainer = Trainer(config, tmp_path, **CARTS, make_loss=DoubledLoss, callbacks=[recorder])
     trainer.train()
     assert (trainer.iteration, recorder.count) == (2, 2)
-    for member in load_checkpoint(tmp_path)["members"]:
-        assert member["callbacks"] == {"Recorder": {"count": 2}}
 
 
 class Extra(DoubledLoss):
@@ -221,7 +270,7 @@ def scheduled_cart(**arguments):
             r"of batch size \(3,\); it must be \(num_envs,\) = \(8,\)",
         ),
         ({"make_env": lambda **_: None}, {"collector": "process"}, "cannot be pickled .* collector='process' sends it"),
-        ({"make_networks": lambda env: nn.Linear(1, 1)}, {"learners": 2}, "cannot be pickled .* learners=2 sends it"),
+        ({"state": {"members": [{}]}}, {}, "was trained by several learners, which are gone; begin a new run with"),
         ({"make_env": make_cart}, {}, "networks do not fit the env of tests.training.cart.make_cart .* make_networks="),
         ({**CARTS, "make_networks": lambda env: nn.Linear(1, 1)}, {}, "Linear, which lacks rollout_policy, .*docs/own"),
         ({**CARTS, "make_loss": lambda networks: nn.Linear(1, 1)}, {}, "Linear, which lacks policy_loss"),
@@ -235,6 +284,7 @@ def scheduled_cart(**arguments):
         ({"callbacks": [Misnamed()]}, {}, "in_keys='reward': give a list of keys .of the callback 'Misnamed'"),
         ({"state": "runs/other"}, {}, r"state='runs/other'; give what load_checkpoint\(run\) returns"),
         ({"logger": "tensorboard"}, {}, "logger='tensorboard' lacks log_metrics; give one of torchrl.record"),
+        ({}, {"logger": "wandb"}, "logger='wandb' needs the package wandb: pip install wandb"),
         ({"callbacks": [print]}, {}, "print> is not a Callback object"),
         ({"callbacks": Recorder()}, {}, "give a list of Callback"),
         ({"callbacks": [Recorder(), Recorder()]}, {}, "two callbacks are called 'Recorder'; give one another `name`"),

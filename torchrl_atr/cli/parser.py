@@ -31,7 +31,6 @@ SETTINGS = (
     "device",
     "collector",
     "workers",
-    "learners",
 )
 """Settings that have an option of their own."""
 PLACES = ("config", "overrides", "output", "overwrite", "start")
@@ -123,7 +122,6 @@ def _add_train(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--device", help="cpu or cuda")
     parser.add_argument("--collector", help="where robots are simulated: direct, process, ray or distributed")
     parser.add_argument("--workers", metavar="N", help="processes that share robots and CPUs, unless direct")
-    parser.add_argument("--learners", metavar="N", help="processes that share robots and CPUs, and learn together")
     parser.add_argument("--config", type=_path, metavar="FILE", help=".toml or .json with any setting")
     parser.add_argument(
         "--set", dest="overrides", action="append", metavar="KEY=VALUE", help="any setting: `list settings`"

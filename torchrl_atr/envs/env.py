@@ -16,6 +16,7 @@ from torchrl.envs import EnvBase
 from torchrl_atr._checks import check_kind, check_whole
 from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
+from torchrl_atr._threads import one_torch_thread_if_small
 from torchrl_atr.envs.models import Scene, build_scene
 from torchrl_atr.envs.physics import DECIMATION, Engine, PhysicsEngine, make_engine
 from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
@@ -87,7 +88,6 @@ class QuadrupedEnv(EnvBase):
     """
 
     batch_locked = True
-    _has_frame_skip = True  # no attribute of ours may be taken for a frame skip
 
     @keeps_normal_tensors
     def __init__(
@@ -198,6 +198,7 @@ class QuadrupedEnv(EnvBase):
         self.runner.failed = torch.zeros_like(self.runner.failed)  # who failed before the seed does not try again
 
     @keeps_normal_tensors
+    @one_torch_thread_if_small
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         n = self.batch_size[0]
         mask = None if tensordict is None else tensordict.get("_reset", None)
@@ -210,6 +211,7 @@ class QuadrupedEnv(EnvBase):
         return self._pack(terminated=torch.zeros(n, dtype=torch.bool))
 
     @keeps_normal_tensors
+    @one_torch_thread_if_small
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         command = self._command(tensordict)
         action = tensordict.get("action", None)
@@ -258,8 +260,7 @@ class QuadrupedEnv(EnvBase):
         terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape, dtype=torch.float32).unbind()))
         flags = {"terminated": terminated, "truncated": torch.zeros_like(terminated), "done": terminated.clone()}
         entries = {**nested(self._emitted), "reward_terms": terms, **flags, **more}
-        # not looked through entry by entry, a tenth of a millisecond a step: shapes and device are the env's own
-        return TensorDict._new_unsafe(entries, batch_size=self.batch_size, device=self.device)
+        return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
     def get_state(self) -> TensorDict:
         """Return everything :meth:`set_state` needs to continue from here bit for bit, on either engine.

@@ -11,7 +11,7 @@ from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, T
 from torch import Tensor, nn
 from torchrl.objectives import ClipPPOLoss
 
-from torchrl_atr.objectives.ppo_hooks import ExtensibleClipPPOLoss
+from torchrl_atr._torchrl_private import ExtensibleClipPPOLoss
 
 ADAPTATION_NETWORKS = ("encoder_network", "intrinsic_estimator_network", "extrinsic_estimator_network")
 _RENAME = "Give it that out_key, or rename it: loss.set_keys(latent=..., latent_estimate=..., extrinsic_estimate=...)."
@@ -128,8 +128,6 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
     smoothness_coeff: Tensor
     extrinsic_norm: nn.Module | None
     extrinsic_std: Tensor | None
-    _in_keys: list[NestedKey] | None
-    _out_keys: list[NestedKey] | None
 
     def __init__(
         self,
@@ -163,7 +161,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
             self.register_coeff_buffer(name, float(value), device=device)
         self._add_scale(extrinsic_scale)
         self._smooth = smoothness_coeff > 0
-        self._in_keys = self._out_keys = None  # they were cached before these networks existed
+        self._renew_keys()  # they were noted before these networks existed
 
     def _add_scale(self, scale: Tensor | nn.Module | None) -> None:
         std = scale.std if isinstance(scale, nn.Module) and hasattr(scale, "std") else scale
@@ -179,13 +177,16 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         """The std that divides the extrinsic error, (E,), or None."""
         return self.extrinsic_std if self.extrinsic_norm is None else cast(Tensor, self.extrinsic_norm.std)
 
-    def _set_in_keys(self) -> None:
-        super()._set_in_keys()
-        # set_keys runs once inside the parent's constructor, before these networks exist.
+    def further_in_keys(self) -> list[NestedKey]:
+        """Return what the networks of the adaptation read, and their targets."""
         networks = [getattr(self, name, None) for name in ADAPTATION_NETWORKS]
-        keys = {key for network in networks if network is not None for key in network.in_keys}
-        ours = [self.tensor_keys.extrinsic] + [self.tensor_keys.previous_mean] * getattr(self, "_smooth", False)
-        self._in_keys = list({*(self._in_keys or ()), *keys, *ours})
+        keys = [key for network in networks if network is not None for key in network.in_keys]
+        return [*keys, self.tensor_keys.extrinsic] + [self.tensor_keys.previous_mean] * getattr(self, "_smooth", False)
+
+    def further_out_keys(self) -> list[NestedKey]:
+        """Return the three regression terms, the two diagnostics, and ``loss_smoothness`` where it counts."""
+        ours = ["loss_intrinsic", "loss_roa", "loss_extrinsic", "latent_error", "extrinsic_error"]
+        return [*ours, *["loss_smoothness"] * self._smooth]
 
     @property
     def policy_in_keys(self) -> list[NestedKey]:
@@ -193,27 +194,14 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         keys = self.tensor_keys
         networks = (self.actor_network, self.critic_network, self.encoder_network)
         recorded = [keys.action, keys.sample_log_prob, keys.advantage, keys.value_target, keys.value]
-        recorded += [keys.latent_estimate, *self._loss_mask_keys()] + [keys.previous_mean] * self._smooth
+        recorded += [keys.latent_estimate, *self._mask_keys] + [keys.previous_mean] * self._smooth
         return [*(key for network in networks for key in network.in_keys), *recorded]
 
     @property
     def adaptation_in_keys(self) -> list[NestedKey]:
         """What :meth:`adaptation_loss` reads; masks are optional."""
         inputs = [key for name in ADAPTATION_NETWORKS for key in getattr(self, name).in_keys]
-        return [*inputs, self.tensor_keys.extrinsic, *self._loss_mask_keys()]
-
-    @property
-    def out_keys(self) -> list[NestedKey]:
-        """The keys of ClipPPOLoss, the three regression terms and the two diagnostics."""
-        if self._out_keys is None:
-            ppo_keys = list(ClipPPOLoss.out_keys.fget(self))  # type: ignore[attr-defined]
-            ours = ["loss_intrinsic", "loss_roa", "loss_extrinsic", "latent_error", "extrinsic_error"]
-            self._out_keys = ppo_keys + ours + ["loss_smoothness"] * self._smooth
-        return self._out_keys
-
-    @out_keys.setter
-    def out_keys(self, values: list[NestedKey]) -> None:
-        self._out_keys = values
+        return [*inputs, self.tensor_keys.extrinsic, *self._mask_keys]
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -263,11 +251,11 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
                 "before, as previous_means(batch) gives it; rename it with loss.set_keys(previous_mean=...)."
             )
         change = (self._distribution(acted).mean - previous).square().sum(-1)
-        return {"loss_smoothness": self._reduce_loss(self.smoothness_coeff * change, acted)}
+        return {"loss_smoothness": self._reduced(self.smoothness_coeff * change, acted)}
 
     def _roa_terms(self, tensordict: TensorDictBase, latent: Tensor, estimate: Tensor) -> dict[str, Tensor]:
         distance = (estimate.detach() - latent).square().sum(-1)
-        return {"loss_roa": self._reduce_loss(self.roa_coeff * distance, tensordict)}
+        return {"loss_roa": self._reduced(self.roa_coeff * distance, tensordict)}
 
     def _adaptation_terms(
         self, tensordict: TensorDictBase, latent: Tensor, latent_estimate: Tensor
@@ -285,8 +273,8 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         latent_distance = (latent_estimate - latent.detach()).square().sum(-1)
         distance = scaled.square().sum(-1)
         return {
-            "loss_intrinsic": self._reduce_loss(self.intrinsic_coeff * latent_distance, tensordict),
-            "loss_extrinsic": self._reduce_loss(self.extrinsic_coeff * distance, tensordict),
+            "loss_intrinsic": self._reduced(self.intrinsic_coeff * latent_distance, tensordict),
+            "loss_extrinsic": self._reduced(self.extrinsic_coeff * distance, tensordict),
             "latent_error": latent_distance.detach().mean().sqrt(),
             "extrinsic_error": scaled.detach().square().mean().sqrt(),
         }

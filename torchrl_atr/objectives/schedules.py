@@ -9,6 +9,8 @@ from torch import Tensor
 from torchrl.objectives import LossModule
 from torchrl.objectives.utils import KLAdaptiveLR
 
+from torchrl_atr._torchrl_private import schedulable_buffers
+
 
 class LinearSchedule:
     """Ramp one schedulable coefficient of a loss linearly over the progress of a run (reading A23).
@@ -47,8 +49,7 @@ class LinearSchedule:
         begin: float = 0.0,
         until: float = 1.0,
     ) -> None:
-        buffers = dict(loss.named_buffers(recurse=False))
-        allowed = sorted(key for key in type(loss)._all_schedulable_buffers if key in buffers)
+        allowed = schedulable_buffers(loss)
         if name not in allowed:
             raise ValueError(f"{type(loss).__name__} has no coefficient {name!r}. Allowed: {', '.join(allowed)}.")
         if not 0.0 <= begin < until <= 1.0:

@@ -20,7 +20,6 @@ from torchrl_atr.training.loading import load_run
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory
 from torchrl_atr.training.recipes import RECIPE_POINTS
 from torchrl_atr.training.restoring import run_config
-from torchrl_atr.training.team import Team, TeamError
 from torchrl_atr.training.trainer import Trainer
 
 __all__ = [
@@ -34,8 +33,6 @@ __all__ = [
     "LossFactory",
     "NetworksFactory",
     "Phase",
-    "Team",
-    "TeamError",
     "TorchThreads",
     "TrainConfig",
     "Trainer",

@@ -21,17 +21,15 @@ if TYPE_CHECKING:
 
 Phase = Literal["policy", "estimators"]
 """What an optimiser step trains: actor, encoder and critic, or both estimators."""
-LEARNER_HOOKS = ("on_batch", "on_minibatch", "on_loss")
-"""Hooks that every learner calls, each on its own data; the first alone calls the others."""
-_HOOKS = (*LEARNER_HOOKS, "on_train_begin", "on_iteration", "on_checkpoint", "on_resume", "on_train_end")
 _LOG = logging.getLogger(__name__)
 
 
 class Callback:
     """Code that a :class:`~torchrl_atr.training.Trainer` calls at fixed points; override what is needed.
 
-    Each method does nothing here, and one that is not overridden is never called. Beside each stands the destination of
-    :meth:`torchrl.trainers.Trainer.register_op` that it resembles.
+    Each method does nothing here, and one that is not overridden is never called. They stand for the hooks of
+    :meth:`torchrl.trainers.Trainer.register_op`, named beside each, which only a TorchRL trainer calls: it has one loss
+    and one optimisation stepper (policy and estimators learn in phases here), and its hooks cannot end a run.
 
     ======================  ==================================================================  =====================
     method                  called                                                              of ``register_op``
@@ -45,9 +43,6 @@ class Callback:
     :meth:`on_resume`       with the checkpoint that a run goes on from, once it is restored
     :meth:`on_train_end`    as :meth:`Trainer.train` ends, however it does                      ``shutdown``
     ======================  ==================================================================  =====================
-
-    With several ``learners`` each process has a copy; only the first one, which writes the run folder, calls more than
-    :meth:`on_batch`, :meth:`on_minibatch` and :meth:`on_loss`. Callbacks with one of these must then be picklable.
 
     Attributes:
         in_keys: entries of the batch that :meth:`on_minibatch` or :meth:`on_loss` read; a minibatch otherwise holds
@@ -127,6 +122,9 @@ class Callback:
         """Restore :meth:`state_dict`."""
 
 
+_HOOKS = tuple(name for name in vars(Callback) if name.startswith("on_"))
+
+
 class Callbacks:
     """The callbacks of a run, in order; knows which hooks are there, so that others cost nothing.
 
@@ -160,42 +158,25 @@ class Callbacks:
         return self._by_hook[hook]
 
     @property
-    def of_learners(self) -> Callbacks:
-        """Those that every learner calls, with nothing of the others."""
-        return Callbacks([each for each in self._all if any(_overrides(each, hook) for hook in LEARNER_HOOKS)])
-
-    @property
     def in_keys(self) -> list[NestedKey]:
         """What minibatches hold for them."""
         return list(chain.from_iterable(each.in_keys for each in self._all))
 
-    def train_begin(self, trainer: Trainer) -> None:
-        """Call :meth:`Callback.on_train_begin` of each."""
-        for callback in self.calling("on_train_begin"):
-            callback.on_train_begin(trainer)
+    def call(self, hook: str, *arguments: Any) -> list[Any]:
+        """Return what a hook of each returns."""
+        return [getattr(callback, hook)(*arguments) for callback in self._by_hook[hook]]
 
-    def batch(self, batch: TensorDictBase) -> TensorDictBase:
-        """Return the batch after :meth:`Callback.on_batch` of each; the one given keeps its entries."""
-        for callback in self.calling("on_batch"):
-            batch = _checked(callback.on_batch(batch.copy()), callback, "on_batch")
-        return batch
+    def through(self, hook: str, data: TensorDictBase, *arguments: Any) -> TensorDictBase:
+        """Return ``data`` after a hook of each; what is given keeps its entries.
 
-    def minibatch(self, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
-        """Return the minibatch after :meth:`Callback.on_minibatch` of each; the one given keeps its entries."""
-        for callback in self.calling("on_minibatch"):
-            minibatch = _checked(callback.on_minibatch(minibatch.copy(), phase), callback, "on_minibatch")
-        return minibatch
-
-    def loss(self, terms: TensorDictBase, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
-        """Return the terms after :meth:`Callback.on_loss` of each."""
-        for callback in self.calling("on_loss"):
-            terms = _checked(callback.on_loss(terms, minibatch, phase), callback, "on_loss")
-        return terms
-
-    def iteration(self, metrics: dict[str, float]) -> bool:
-        """Return whether one of them ends the run; all are called."""
-        answers = [callback.on_iteration(metrics) for callback in self.calling("on_iteration")]
-        return any(answers)
+        Raises:
+            ConfigError: if one returns something else than a TensorDict.
+        """
+        for callback in self._by_hook[hook]:
+            data = getattr(callback, hook)(data.copy(), *arguments)
+            if not isinstance(data, TensorDictBase):
+                raise ConfigError(f"{hook} of the callback {callback.name!r} returned {data!r}; return the TensorDict")
+        return data
 
     def checkpoint(self, state: dict[str, Any]) -> None:
         """Call :meth:`Callback.on_checkpoint` of each."""
@@ -203,16 +184,6 @@ class Callbacks:
             before = set(state)
             callback.on_checkpoint(state)
             _check_plain({name: state[name] for name in state.keys() - before}, callback, "on_checkpoint added")
-
-    def resume(self, state: Mapping[str, Any]) -> None:
-        """Call :meth:`Callback.on_resume` of each."""
-        for callback in self.calling("on_resume"):
-            callback.on_resume(state)
-
-    def train_end(self) -> None:
-        """Call :meth:`Callback.on_train_end` of each."""
-        for callback in self.calling("on_train_end"):
-            callback.on_train_end()
 
     def state_dict(self) -> dict[str, Any]:
         """Return the states by name, without empty ones.
@@ -258,12 +229,6 @@ def _check_in_keys(callback: Callback) -> None:
 def _overrides(callback: Callback, hook: str) -> bool:
     method: Callable[..., Any] = getattr(callback, hook)
     return getattr(method, "__func__", method) is not getattr(Callback, hook)
-
-
-def _checked(result: Any, callback: Callback, hook: str) -> TensorDictBase:
-    if not isinstance(result, TensorDictBase):
-        raise ConfigError(f"{hook} of the callback {callback.name!r} returned {result!r}; return the TensorDict")
-    return result
 
 
 def _check_plain(state: Any, callback: Callback, what: str) -> None:

@@ -20,6 +20,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._errors import UserError, first_line
+from torchrl_atr._torchrl_private import carried_root
 from torchrl_atr.modules import OnDevice
 from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
@@ -169,6 +170,15 @@ class Collection:
             return here
         return sum(self.collector.get_distant_attr("env.base_env.num_diverged")) if self.callable else None
 
+    def metrics(self) -> dict[str, float]:
+        """Return how far the commands reach, where there is a curriculum, and ``diverged``, where it is known."""
+        metrics: dict[str, float] = {}
+        if self.curriculum is not None:
+            metrics["command_area"] = self.curriculum.command_area[0]
+            metrics["frontier_speed"], metrics["frontier_yaw_rate"] = self.curriculum.frontier
+        diverged = self.num_diverged  # asks the workers
+        return metrics if diverged is None else {**metrics, "diverged": diverged}
+
     def state_dict(self) -> dict[str, Any]:
         """What the next batch depends on besides the networks, in plain dicts of tensors; empty with workers.
 
@@ -181,7 +191,7 @@ class Collection:
         return {
             **env,
             "policy": {name: part.get_extra_state() for name, part in self._stateful()},
-            "carried": self.collector._carrier.to_dict(),  # the root of the next step; TorchRL's state_dict lacks it
+            "carried": carried_root(self.collector).to_dict(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -196,7 +206,7 @@ class Collection:
         for name, part in self._stateful():
             part.set_extra_state(state["policy"][name])
         carried = TensorDict(state["carried"], batch_size=self.env.batch_size)
-        self.collector._carrier.update(carried.exclude("reward_terms"))  # which were carried once
+        carried_root(self.collector).update(carried.exclude("reward_terms"))  # which were carried once
 
     def _stateful(self) -> list[tuple[str, Any]]:
         """Parts of the policy with a state that is no parameter: noise that runs on."""

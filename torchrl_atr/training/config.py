@@ -57,8 +57,6 @@ class TrainConfig:
         collector: where the robots are simulated: ``direct`` in this process, or in ``workers`` others by TorchRL's
             engine ``process``, ``ray`` or ``distributed``.
         workers: processes that share the robots and the CPUs.
-        learners: processes of this host that each ride their share of the robots on their share of the CPUs (of physics
-            and of torch), and learn from all of them together.
         gamma, gae_lambda: discount and GAE's λ.
         epochs, minibatches: PPO passes over a batch, and into how many parts each is cut.
         learning_rate, max_learning_rate, target_kl: of the policy; adapted to the measured KL divergence. A run that
@@ -106,6 +104,7 @@ class TrainConfig:
             task's bins (riding: 0.2); 0 for the task's own.
         runaway_speed, runaway_yaw_rate: how much faster than any command a transporter may get before its episode ends.
         checkpoint_seconds: longest time between checkpoints.
+        logger: beside ``progress.csv``: ``tensorboard``, ``wandb``, ``mlflow``, or ``csv`` for that file alone.
     """
 
     task: str = "riding"
@@ -126,7 +125,6 @@ class TrainConfig:
     compiled: bool = False
     collector: str = "direct"
     workers: int = 2
-    learners: int = 1
     gamma: float = 0.995
     gae_lambda: float = 0.8
     epochs: int = 2
@@ -179,6 +177,7 @@ class TrainConfig:
     runaway_speed: float = 2.0
     runaway_yaw_rate: float = 2.0
     checkpoint_seconds: float = 60.0
+    logger: str = "tensorboard"
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -204,22 +203,6 @@ class TrainConfig:
     def threads_each(self, processes: int) -> int:
         """Physics threads of each of so many processes that share the CPUs."""
         return max(1, (self.num_threads or available_cpus()) // processes)
-
-    def share(self, rank: int) -> TrainConfig:
-        """What one of the learners works with: its part of the robots and of the CPUs, and a seed of its own.
-
-        Args:
-            rank: which one; the first keeps the seed.
-        """
-        if self.learners == 1:
-            return self
-        return dataclasses.replace(
-            self,
-            num_envs=self.num_envs // self.learners,
-            num_threads=self.threads_each(self.learners),
-            seed=(self.seed + SEED_STRIDE * rank) % 2**31,
-            learners=1,
-        )
 
     def make_task(self, **overrides: Any) -> Task:
         """Return the task, with some arguments of its function replaced.

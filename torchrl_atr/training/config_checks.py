@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 COLLECTORS = ("direct", "process", "ray", "distributed")
 """Engines that collect batches."""
+LOGGERS = ("csv", "tensorboard", "wandb", "mlflow")
+"""Loggers of a run's metrics."""
 
 
 class ConfigError(UserError, ValueError):
@@ -85,23 +87,11 @@ def _check_times(config: TrainConfig) -> None:
 def _check_processes(config: TrainConfig) -> None:
     if config.collector not in COLLECTORS:
         raise ConfigError(f"collector={config.collector!r} is unknown; choose one of {', '.join(COLLECTORS)}")
-    if config.collector != "direct":
-        _check_share(config, "workers")
-    if config.learners == 1:
-        return
-    if config.collector != "direct" or config.device != "cpu":
+    if config.logger not in LOGGERS:
+        raise ConfigError(f"logger={config.logger!r} is unknown; choose one of {', '.join(LOGGERS)}")
+    if config.collector != "direct" and config.num_envs % config.workers:
         raise ConfigError(
-            f"learners={config.learners} are for collector='direct' and device='cpu', not {config.collector!r} and "
-            f"{config.device!r}; take learners=1, or workers"
-        )
-    _check_share(config, "learners")
-
-
-def _check_share(config: TrainConfig, name: str) -> None:
-    processes = getattr(config, name)
-    if config.num_envs % processes:
-        raise ConfigError(
-            f"num_envs={config.num_envs} cannot be shared evenly by {name}={processes}; choose a multiple of it"
+            f"num_envs={config.num_envs} cannot be shared evenly by workers={config.workers}; choose a multiple of it"
         )
 
 

@@ -54,6 +54,8 @@ def widen_curriculum(curriculum: CommandCurriculum | None, state: dict[str, Any]
 def env_state(env: EnvBase) -> dict[str, Any]:
     """Return all that the env's next step depends on, in plain dicts of tensors; empty without ``get_state``.
 
+    TorchRL's ``env.state_dict()`` has the transforms' part of it alone.
+
     Args:
         env: whose base env has ``get_state() -> TensorDict`` and ``set_state(state)``; a generator ``rng`` and the
             transforms' states are saved beside it.

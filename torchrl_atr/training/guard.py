@@ -26,6 +26,9 @@ class StepGuard:
     iteration (:meth:`review`). Steps in a row are those of the same optimisers: what the estimators do says nothing
     about the policy.
 
+    It stands for :class:`torch.amp.GradScaler`, which leaves out steps in the same way, but looks at gradients
+    alone, waits for the GPU at each step of an optimiser that is not fused, and goes on for ever.
+
     Args:
         patience: how many steps in a row may be left out.
 

@@ -1,4 +1,8 @@
-"""The learner: one batch in, better networks out. PPO with its epochs, then the estimators with theirs."""
+"""The learner: one batch in, better networks out. PPO with its epochs, then the estimators with theirs.
+
+It stands for TorchRL's ``PPOTrainer`` with its ``OptimizationStepper``: that minimises the sum of all losses with one
+optimiser, where estimators have epochs of their own here, and waits for a GPU at each step.
+"""
 
 from __future__ import annotations
 
@@ -139,7 +143,8 @@ class Learner:
         """
         with torch.no_grad():
             # a copy: what is added to it, and the weighted reward, is not the caller's
-            batch = _moved(batch.copy(), torch.device(self.config.device))
+            device = self.config.device  # to a GPU from pinned memory, without waiting
+            batch = batch.copy().to(device, non_blocking_pin=device != "cpu")
             batch = with_factors(batch, self._reward_factors)
             batch = self.advantage(batch)
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
@@ -191,8 +196,10 @@ class Learner:
             way.
         """
         minibatches = shuffled.select(*self._read[phase], strict=False).split(self.minibatch_size)
-        step, process = self._steps[phase], self.callbacks.minibatch
-        return torch.stack([step(process(minibatch, phase)) for _ in range(epochs) for minibatch in minibatches])
+        step, through = self._steps[phase], self.callbacks.through
+        return torch.stack(
+            [step(through("on_minibatch", minibatch, phase)) for _ in range(epochs) for minibatch in minibatches]
+        )
 
     def _policy_step(self, minibatch: TensorDictBase) -> TensorDictBase:
         """Adapts the rate to how far the policy has gone from the one that made the batch, and steps unless too far.
@@ -205,11 +212,11 @@ class Learner:
         self.schedule.step(divergence, hold=self._first | self._too_far)
         self._first.fill_(False)
         self._too_far.logical_or_(self.schedule.exceeded(divergence, KL_STOP_FACTOR))
-        terms = self.callbacks.loss(terms, minibatch, "policy")
+        terms = self.callbacks.through("on_loss", terms, minibatch, "policy")
         return self._step(terms, ("policy", "critic"), self._too_far)
 
     def _adaptation_step(self, minibatch: TensorDictBase) -> TensorDictBase:
-        terms = self.callbacks.loss(self.loss.adaptation_loss(minibatch), minibatch, "estimators")
+        terms = self.callbacks.through("on_loss", self.loss.adaptation_loss(minibatch), minibatch, "estimators")
         return self._step(terms, ("estimators",))
 
     def _step(self, terms: TensorDictBase, names: tuple[str, ...], hold: Tensor | None = None) -> TensorDictBase:
@@ -285,11 +292,6 @@ class Learner:
             optimizer.load_state_dict({**optimizer.state_dict(), "state": theirs[name]["state"]})
         rate = float(theirs["policy"]["param_groups"][0]["lr"])
         self.schedule.set_rate(min(rate, self.config.learning_rate))
-
-
-def _moved(batch: TensorDictBase, device: torch.device) -> TensorDictBase:
-    """The batch on ``device``, to a GPU from pinned memory and without waiting."""
-    return batch.to(device, non_blocking_pin=True) if device.type == "cuda" else batch.to(device)
 
 
 def _kl_divergence(terms: TensorDictBase) -> Tensor:

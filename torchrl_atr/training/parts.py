@@ -68,6 +68,9 @@ LossFactory = Callable[[Any], Any]
 class Parts:
     """What a run is made of besides its configuration; what is None is the recipe's, from the configuration.
 
+    It stands for the Hydra configurations of ``torchrl.trainers.algorithms.configs``, which make parts by name, but do
+    not look whether what they made can be trained.
+
     Attributes:
         make_env: see :class:`EnvFactory`.
         make_networks: see :data:`NetworksFactory`.
@@ -90,11 +93,6 @@ class Parts:
         factories = {name: getattr(self, name) for name in FACTORIES}
         return {name: factory for name, factory in factories.items() if factory is not None}
 
-    @property
-    def of_learners(self) -> Parts:
-        """What every learner needs: all but the callbacks that the first one alone calls."""
-        return Parts(self.make_env, self.make_networks, self.make_loss, self.callbacks.of_learners)
-
     def check(self, config: TrainConfig) -> None:
         """Check that factories are callable, and that what other processes need can be sent to them.
 
@@ -109,13 +107,8 @@ class Parts:
                 raise ConfigError(f"{name}={type(factory).__name__}(...) is what is to be made; give what makes it")
         if self.make_networks is None:
             get_estimator(config.estimator)
-        sent: dict[str, Any] = {}
-        if config.collector != "direct":
-            sent = {name: each for name, each in self._factories.items() if name == "make_env"}
-        elif config.learners > 1:
-            sent = self._factories | {f"callbacks: {each.name}": each for each in self.callbacks.of_learners}
-        for name, value in sent.items():
-            _check_picklable(name, value, config)
+        if config.collector != "direct" and self.make_env is not None:
+            _check_picklable("make_env", self.make_env, config)
         if config.captures_graphs and (culprits := self.callbacks.calling("on_loss")):
             raise ConfigError(
                 f"on_loss of the callback {culprits[0].name!r}: with compiled=true optimiser steps on a GPU are CUDA "
@@ -147,7 +140,7 @@ class Parts:
         """Return what makes envs of a run, in any process: called with nothing, or with other arguments to replace.
 
         Args:
-            config: of the run, or of one learner's share.
+            config: of the run.
             run: the run folder.
         """
         if self.make_env is None:
@@ -238,10 +231,10 @@ def _check_picklable(name: str, value: Any, config: TrainConfig) -> None:
     try:
         pickle.dumps(value)
     except Exception as error:
-        where = f"learners={config.learners}" if config.learners > 1 else f"collector={config.collector!r}"
         raise ConfigError(
-            f"{name}={value!r} cannot be pickled ({first_line(error)}), and {where} sends it to other processes; give "
-            "a function or class that a module defines at its top level, or functools.partial of one"
+            f"{name}={value!r} cannot be pickled ({first_line(error)}), and collector={config.collector!r} sends it to "
+            "other processes; give a function or class that a module defines at its top level, or functools.partial of "
+            "one"
         ) from error
 
 

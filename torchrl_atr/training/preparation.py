@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from torchrl_atr.envs.models.identity import Description, describe
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.config_checks import ConfigError
 from torchrl_atr.training.env_access import attribute
+from torchrl_atr.training.loggers import check_logger
 from torchrl_atr.training.parts import FACTORIES, Parts
 from torchrl_atr.training.restoring import check_model, deployed_weights, load_networks, other_parts, read_other
 
@@ -35,7 +36,7 @@ def check_given(
 
     Raises:
         CheckpointError: if a checkpoint lacks something, or parts that were its run's own are not given.
-        ConfigError: if a part or the logger cannot be used, both runs are one, or the checkpoint is of other learners.
+        ConfigError: if a part or the logger cannot be used, or both runs are one.
     """
     if not isinstance(config, TrainConfig):
         raise ConfigError(f"config={config!r}; give a TrainConfig, such as make_config({{'num_envs': 512}})")
@@ -45,14 +46,12 @@ def check_given(
     missing = [name for name in ("log_metrics", "log_hparams") if not hasattr(logger, name)]
     if logger is not None and missing:
         raise ConfigError(f"logger={logger!r} lacks {missing[0]}; give one of torchrl.record.loggers")
+    if logger is None:
+        check_logger(config.logger)
     if state is not None:
         parts.check_complete(state, run, FACTORIES)
-        learners = 1 + len(state.get("members", []))
-        if learners != config.learners:
-            raise ConfigError(
-                f"learners={config.learners}: the checkpoint is of {learners}; go on with as many, or begin a new run "
-                "with --from"
-            )
+        if state.get("members"):
+            raise ConfigError(f"{run} was trained by several learners, which are gone; begin a new run with --from")
     if start is None:
         return None
     other = read_other(start, run)
@@ -67,7 +66,7 @@ def trained_networks(
     parts: Parts,
     state: Mapping[str, Any] | None,
     other: Mapping[str, Any] | None,
-    replaced: Collection[str],
+    replaced: Iterable[str],
 ) -> Any:
     """Return a run's networks on the learner's device, with the weights of either checkpoint.
 
@@ -108,7 +107,8 @@ def model_of(env: EnvBase) -> Description | None:
 def init_normalizers(networks: Any, env: EnvBase, steps: int, device: str) -> None:
     """Give normalisers means and scales of random actions to start from.
 
-    A step at a time: a rollout would hold every history.
+    It stands for ``ObservationNorm.init_stats`` of TorchRL's transforms, whose numbers stay with the env; these are
+    deployed with the networks. A step at a time: a rollout would hold every history.
 
     Args:
         networks: whose normalisers they are.

@@ -1,11 +1,11 @@
-"""What a run shows while it learns: a live table, ``progress.csv``, and TensorBoard or a logger of TorchRL."""
+"""What a run shows while it learns: lines of the main metrics, ``progress.csv``, and a logger of TorchRL."""
 
 from __future__ import annotations
 
 import csv
-import sys
 import time
 from collections import deque
+from contextlib import ExitStack
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,47 +14,45 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic, naming, say
 from torchrl_atr._text import number
 from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.training.loggers import make_logger
 
 if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
 
 
-class _Shown(NamedTuple):
-    """A metric: its label and format in the live table; head, unit and width of its column elsewhere, 0 for none."""
+class _Column(NamedTuple):
+    """Of a line: the metric, its format, the two lines of its head, and its width."""
 
     name: str
-    label: str
     style: str
     head: str
     unit: str
     width: int
 
     def cell(self, metrics: dict[str, float]) -> str:
-        """Its column's text, at least one space before it."""
+        """Return the column's text, at least one space before it."""
         value = metrics.get(self.name)
         text = "-" if value is None else self.style.format(value)
         return text.rjust(self.width) if len(text) < self.width else " " + number(value, self.width - 1, 0)
 
 
-_SHOWN = (
-    _Shown("frames", "robot steps", "{:,.0f}", "robot", "steps", 12),
-    _Shown("frames_per_second", "per second", "{:,.0f}", "rate", "steps/s", 8),
-    _Shown("episode_length", "episode length, steps", "{:.0f}", "length", "steps", 7),
-    _Shown("falls_per_minute", "falls per robot and minute", "{:.2f}", "falls", "/min", 7),
-    _Shown("speed_error", "speed error, m/s", "{:.3f}", "v err", "m/s", 7),
-    _Shown("yaw_error", "yaw error, rad/s", "{:.3f}", "w err", "rad/s", 7),
-    _Shown("student_speed_error", "... acting on estimates", "{:.3f}", "est v", "m/s", 7),
-    _Shown("yaw_gain", "yaw gain", "{:.2f}", "yaw", "gain", 6),
-    _Shown("command_area", "command area", "{:.4f}", "area", "share", 7),
-    _Shown("latent_error", "latent error", "{:.3f}", "latent", "error", 7),
-    _Shown("extrinsic_error", "extrinsic error, std", "{:.3f}", "extrin", "error", 7),
-    _Shown("std", "action std", "{:.3f}", "act", "std", 6),
-    _Shown("chatter", "action chatter", "{:.3f}", "action", "rms", 7),
-    _Shown("kl_approx", "KL", "{:.4f}", "KL", "", 8),
-    _Shown("diverged", "diverged simulations", "{:.0f}", "", "", 0),  # each is logged when it happens
-    _Shown("skipped_steps", "skipped steps", "{:.0f}", "skip", "steps", 6),
+_COLUMNS = (
+    _Column("frames", "{:,.0f}", "robot", "steps", 12),
+    _Column("frames_per_second", "{:,.0f}", "rate", "steps/s", 8),
+    _Column("episode_length", "{:.0f}", "length", "steps", 7),
+    _Column("falls_per_minute", "{:.2f}", "falls", "/min", 7),
+    _Column("speed_error", "{:.3f}", "v err", "m/s", 7),
+    _Column("yaw_error", "{:.3f}", "w err", "rad/s", 7),
+    _Column("student_speed_error", "{:.3f}", "est v", "m/s", 7),
+    _Column("yaw_gain", "{:.2f}", "yaw", "gain", 6),
+    _Column("command_area", "{:.4f}", "area", "share", 7),
+    _Column("latent_error", "{:.3f}", "latent", "error", 7),
+    _Column("extrinsic_error", "{:.3f}", "extrin", "error", 7),
+    _Column("std", "{:.3f}", "act", "std", 6),
+    _Column("chatter", "{:.3f}", "action", "rms", 7),
+    _Column("kl_approx", "{:.4f}", "KL", "", 8),
+    _Column("skipped_steps", "{:.0f}", "skip", "steps", 6),
 )
-_COLUMNS = tuple(shown for shown in _SHOWN if shown.width)
 _LEFT = 10
 """Width of the time that is left; with it, a line has 119 characters."""
 _PAGE = 20
@@ -69,19 +67,23 @@ _HEAD = "\n".join(
 _MOVING = {"falls_per_minute": 50}
 """Iterations over whose mean a metric is shown that is rare in each; logs hold every iteration's own."""
 _LINE_SECONDS = 15.0
-"""Seconds between lines where there is no terminal to redraw."""
+"""Seconds between lines."""
 
 
 class Progress:
     """Logs metrics of every iteration; a context manager around the training loop.
 
+    ``progress.csv``, one row per iteration, is written whatever the logger: TorchRL's ``CSVLogger`` has a file without
+    header for each metric, to which a resumed run would append the iterations since its checkpoint once more.
+
     Args:
         run: the run folder.
-        config: for time and frames left.
-        logger: of TorchRL, which gets every iteration's metrics by robot steps; None for TensorBoard in the run folder.
-        title: of the live table, before the folder.
+        config: for the logger, and for time and frames left.
         resume_from: frames of the checkpoint that the run goes on from; later rows of its log are dropped. None for a
             new run.
+        logger: of TorchRL, which gets every iteration's metrics by robot steps and stays open; None for the one that
+            ``config.logger`` names.
+        title: of the run, for the logger.
     """
 
     def __init__(
@@ -95,7 +97,7 @@ class Progress:
         self.run, self.config, self.logger, self.title = run, config, logger, title
         self._csv_path = run / "progress.csv"
         self._fields: list[str] = []
-        self._purge_step = None if resume_from is None else resume_from + 1
+        self._resume_from = resume_from
         if resume_from is None:
             self._csv_path.unlink(missing_ok=True)
         elif self._csv_path.is_file():
@@ -104,62 +106,48 @@ class Progress:
         self._recent = {name: deque[float](maxlen=iterations) for name, iterations in _MOVING.items()}
         self._last_line = 0.0
         self._lines = 0
-        self._live: Any = None
-        self._writer: Any = None
+        self._open = ExitStack()
+        self._logger: Logger | None = None
 
     def __enter__(self) -> Progress:
-        if self.logger is None:
-            self._writer = self._make_writer()
-        else:
-            self.logger.log_hparams(self.config.to_dict())
-        if sys.stdout.isatty():
-            from rich.live import Live
-
-            self._live = Live(refresh_per_second=2)
-            self._live.__enter__()
+        self._logger = self.logger or self._make_logger()
+        if self._logger is not None and (self.logger is not None or self.config.logger != "tensorboard"):
+            self._logger.log_hparams(self.config.to_dict())  # TensorBoard takes no lists; config.json has them all
         return self
 
     def __exit__(self, *exception: Any) -> None:
-        if self._live is not None:
-            self._live.__exit__(*exception)
-        if self._writer is not None:
-            self._writer.close()
+        self._open.__exit__(*exception)
 
     def update(self, metrics: dict[str, float]) -> None:
-        """Shows and stores one iteration."""
+        """Show and store one iteration."""
         self._shown.update(metrics)
         self._append(self._shown)
         for name, recent in self._recent.items():
             if name in metrics:
                 recent.append(metrics[name])
                 self._shown[name] = fmean(recent)
-        tagged = {name if "/" in name else f"train/{name}": value for name, value in metrics.items()}
-        if self.logger is not None:
-            self.logger.log_metrics(tagged, step=int(metrics["frames"]))
-        elif self._writer is not None:
-            for tag, value in tagged.items():
-                self._writer.add_scalar(tag, value, int(metrics["frames"]))
-        if self._live is not None:
-            self._live.update(self._table())
-        elif time.monotonic() - self._last_line > _LINE_SECONDS:
+        if self._logger is not None:
+            tagged = {name if "/" in name else f"train/{name}": value for name, value in metrics.items()}
+            self._logger.log_metrics(tagged, step=int(metrics["frames"]))
+        if time.monotonic() - self._last_line > _LINE_SECONDS:
             self._last_line = time.monotonic()
             say(self._line() if self._lines % _PAGE else f"{_HEAD}\n{self._line()}")
             self._lines += 1
 
-    def _make_writer(self) -> Any:
-        """TensorBoard's; None where it cannot write: it knows no names of files that are no text in this locale."""
-        folder = str(self.run / "tensorboard")
+    def _make_logger(self) -> Logger | None:
+        """Return the logger that the configuration names; None where it cannot write."""
         try:
-            folder.encode()
+            str(self.run).encode()
         except UnicodeEncodeError:
-            say("no TensorBoard log: this locale cannot spell the run folder; progress.csv holds the same")
+            say(f"no log for {self.config.logger}: this locale cannot spell the folder; progress.csv holds the same")
             return None
-        from torch.utils.tensorboard import SummaryWriter  # heavy: only where a run starts
-
-        return SummaryWriter(folder, purge_step=self._purge_step)
+        logger = make_logger(self.config.logger, self.run, self.title or self.run.name, self._resume_from)
+        if logger is not None:
+            self._open.enter_context(logger.experiment)  # a SummaryWriter, or a run of W&B or MLflow
+        return logger
 
     def _keep_rows(self, frames: int) -> list[str]:
-        """Drops the rows of iterations that the checkpoint has not seen; returns the columns."""
+        """Drop the rows of iterations that the checkpoint has not seen; return the columns."""
         with self._csv_path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             columns = list(reader.fieldnames or [])
@@ -191,17 +179,5 @@ class Progress:
         left = max(0, int(min(by_frames, by_time)))
         return f"{left // 3600}:{left // 60 % 60:02d}:{left % 60:02d}"
 
-    def _rows(self) -> list[tuple[str, str]]:
-        rows = [(each.label, each.style.format(self._shown[each.name])) for each in _SHOWN if each.name in self._shown]
-        return [*rows, ("time left", self._left())]
-
     def _line(self) -> str:
         return "".join(shown.cell(self._shown) for shown in _COLUMNS) + f" {self._left()}".rjust(_LEFT)
-
-    def _table(self) -> Any:
-        from rich.table import Table
-
-        table = Table(title=f"{self.title}: {self.run}", show_header=False)
-        for label, value in self._rows():
-            table.add_row(label, value)
-        return table

@@ -22,7 +22,6 @@ RANGES: dict[str, tuple[float, float]] = {
     "num_threads": (0, 4096),
     "torch_threads": (0, 4096),
     "workers": (1, 4096),
-    "learners": (1, 4096),
     "gamma": (0, 0.99999),
     "gae_lambda": (0, 1),
     "epochs": (1, 1000),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from textwrap import shorten
 from typing import Any
 
 import torch
@@ -23,7 +24,7 @@ _PARTS = (
     ("config",),
     ("learner", "networks"),
     ("learner", "optimizers"),
-    ("curriculum", "weights"),
+    ("curriculum",),
     ("frames",),
     ("rng",),
     ("provenance",),
@@ -31,7 +32,7 @@ _PARTS = (
 
 
 def check_parts(state: Mapping[str, Any], run: Path) -> None:
-    """Checks that a checkpoint holds what everything that reads a run relies on.
+    """Check that a checkpoint holds what everything that reads a run relies on.
 
     Args:
         state: from :func:`~torchrl_atr.training.load_checkpoint`.
@@ -41,8 +42,6 @@ def check_parts(state: Mapping[str, Any], run: Path) -> None:
         CheckpointError: if a part is missing.
     """
     for path in _PARTS:
-        if path[0] == "curriculum" and path[0] in state and state[path[0]] is None:  # its env has none
-            continue
         part: Any = state
         for name in path:
             if not isinstance(part, Mapping) or name not in part:
@@ -158,12 +157,12 @@ def check_model(state: Mapping[str, Any], scene: Scene | None, run: Path, replac
 
 
 def deployed_weights(learner: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The running mean of the weights in a learner's state; the last ones where there was none yet."""
+    """Return the running mean of the weights in a learner's state; the last ones where there was none yet."""
     return learner.get("deployed", learner["networks"])
 
 
 def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) -> None:
-    """Loads trained networks, or says in a line why they do not fit.
+    """Load trained networks, or say in a line why they do not fit.
 
     Args:
         networks: made by the settings of that run, or of one that begins from it.
@@ -173,29 +172,22 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
     Raises:
         CheckpointError: if names or shapes differ, or a number is not finite.
     """
-    here, there = _shapes(networks.state_dict()), _shapes(weights)
-    different = [name for name in {**here, **there} if here.get(name) != there.get(name)]
-    if different:
-        name = different[0]
-        raise CheckpointError(
-            f"the networks in {run} do not fit these settings: {name} is {there.get(name, 'missing')} in the file and "
-            f"{here.get(name, 'missing')} here ({len(different)} differ); use the code, the settings and the estimator "
-            "that trained them"
-        )
     for name, value in weights.items():
         if isinstance(value, Tensor) and not torch.isfinite(value).all():
             raise CheckpointError(f"the networks in {run} hold a NaN or infinity in {name}; use an earlier checkpoint")
     try:
         networks.load_state_dict(dict(weights))
-    except Exception as error:  # what an estimator's own set_extra_state or hooks may raise
+    except Exception as error:  # an estimator's own set_extra_state or hooks may raise anything
+        lines = [line.strip() for line in str(error).splitlines()[1:]]  # torch's first one names no weight
+        culprit = lines[0] if lines and isinstance(error, RuntimeError) else first_line(error)
         raise CheckpointError(
-            f"the networks in {run} do not fit these settings ({type(error).__name__}: {first_line(error)}); use the "
-            "code, the settings and the estimator that trained them"
+            f"the networks in {run} do not fit these settings ({type(error).__name__}: {shorten(culprit, 200)}); use "
+            "the code, the settings and the estimator that trained them"
         ) from error
 
 
 def check_moments(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any], name: str) -> None:
-    """Checks the moments in an optimiser's saved state, which a fused step would read and write whatever their shapes.
+    """Check the moments in an optimiser's saved state, which a fused step would read and write whatever their shapes.
 
     Args:
         optimizer: that is to go on with them.
@@ -216,8 +208,3 @@ def check_moments(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any], na
             f"the moments of the {name!r} optimiser in the checkpoint are of other parameters than it has here; use "
             "the code, the settings and the estimator that trained them"
         )
-
-
-def _shapes(weights: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
-    """By name; what is no tensor, a module's extra state, is not compared."""
-    return {name: tuple(value.shape) for name, value in weights.items() if isinstance(value, Tensor)}

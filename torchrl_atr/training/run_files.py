@@ -19,6 +19,8 @@ MODEL = "model"
 """Folder of a run that holds its robot's and its transporter's files."""
 DUMPS = "diverged"
 """Folder of a run that simulations which failed are written to."""
+_GONE = ("learners",)
+"""Settings of earlier versions that no longer change anything."""
 
 
 def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
@@ -57,9 +59,9 @@ def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
 
 def clear(run: Path) -> None:
     """Remove what an earlier run wrote to the folder: two runs' checkpoints and logs must not mix."""
-    for name in (NAME, PREVIOUS, BEST, "progress.csv"):
+    for name in (NAME, PREVIOUS, BEST, "progress.csv", "mlflow.db"):
         (run / name).unlink(missing_ok=True)
-    for name in ("tensorboard", DUMPS):
+    for name in ("tensorboard", "wandb", DUMPS):
         shutil.rmtree(run / name, ignore_errors=True)
 
 
@@ -84,4 +86,5 @@ def located_settings(settings: Mapping[str, Any], folder: Path) -> dict[str, Any
         '/runs/one/model/robot/mine.toml'
     """
     files = {name: settings[name] for name in COPIES if is_spec_file(settings.get(name))}
-    return {**settings, **{name: str(folder.resolve() / value) for name, value in files.items()}}
+    known = {name: value for name, value in settings.items() if name not in _GONE}
+    return {**known, **{name: str(folder.resolve() / value) for name, value in files.items()}}

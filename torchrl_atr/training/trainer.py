@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,14 +13,16 @@ from torchrl.envs import EnvBase
 
 from torchrl_atr._files import say, sweep, write_json
 from torchrl_atr._interrupt import Interrupt
+from torchrl_atr._threads import TorchThreads
 from torchrl_atr.envs.models.identity import digest
 from torchrl_atr.training import env_access
-from torchrl_atr.training.assembly import make_reward_schedule
+from torchrl_atr.training.assembly import make_policy, make_reward_schedule
 from torchrl_atr.training.callbacks import Callback, Callbacks
-from torchrl_atr.training.checkpoint import NAME, save_checkpoint
-from torchrl_atr.training.collection import CollectionError
+from torchrl_atr.training.checkpoint import NAME, load_rng_state, rng_state, save_checkpoint
+from torchrl_atr.training.collection import Collection, CollectionError
 from torchrl_atr.training.config import TrainConfig
-from torchrl_atr.training.member import Member, assist, make_learner, make_member, member_state, torch_threads
+from torchrl_atr.training.learner import Learner
+from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory, Parts
 from torchrl_atr.training.preparation import check_given, init_normalizers, model_of, trained_networks
 from torchrl_atr.training.progress import Progress
@@ -28,7 +30,6 @@ from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import check_model
 from torchrl_atr.training.reward_schedule import check_reward_terms
 from torchrl_atr.training.run_files import clear, keep_files, stored_settings
-from torchrl_atr.training.team import Team
 
 if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
@@ -93,7 +94,7 @@ class Trainer:
         run: str | Path,
         state: dict[str, Any] | None = None,
         start: str | Path | None = None,
-        replaced: Collection[str] = (),
+        replaced: Iterable[str] = (),
         *,
         make_env: EnvFactory | None = None,
         make_networks: NetworksFactory | None = None,
@@ -105,24 +106,24 @@ class Trainer:
         self.parts = Parts(make_env, make_networks, make_loss, Callbacks(callbacks))
         other = check_given(config, self.run, self.parts, state, None if start is None else Path(start), logger)
         torch.manual_seed(config.seed)
-        self.threads = torch_threads(config)
+        self.threads = TorchThreads(config.torch_threads, adaptive=config.torch_threads == 0)
         self.env = self._env_maker()
         networks = trained_networks(config, self.run, self.env, self.parts, state, other, replaced)
         self._model = model_of(self.env)
-        loss = self.parts.loss(config, networks)
+        loss, schedule = self.parts.loss(config, networks), make_reward_schedule(self.env)
         # of the env below all transforms: one of them may leave the terms out of what is stored
         emitted = env_access.base_of(self.env).full_observation_spec.get("reward_terms", {})
-        check_reward_terms(make_reward_schedule(self.env), emitted.keys())
+        check_reward_terms(schedule, emitted.keys())
         self._prepare_folder(fresh=state is None)
         self.curriculum = env_access.curriculum_of(self.env)
         if state is None and other is None:
             with self.threads:  # compiled steps are for that many
                 init_normalizers(networks, self.env, self.config.rollout_steps, config.device)
-        self.learner = make_learner(networks, self.config.share(0), self.env, self.parts, loss)
+        self.learner = Learner(networks, self.config, loss, schedule, self.parts.callbacks)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
         self.reward, self.best_reward = 0.0, float("-inf")  # of episodes: running mean, and the best at a checkpoint
         self._mark = time.monotonic()  # the end of the last iteration
-        self._carried: list[dict[str, Any]] = []  # by member, what its next batch depends on besides the networks
+        self._carried: dict[str, Any] = {}  # what the next batch depends on besides the networks
         self._start: dict[str, Any] | None = None  # the run that this one began from
         if state is not None:
             self._restore(state)
@@ -133,7 +134,7 @@ class Trainer:
 
     @property
     def _env_maker(self) -> Callable[..., EnvBase]:
-        return self.parts.env_maker(self.config.share(0), self.run)
+        return self.parts.env_maker(self.config, self.run)
 
     def _prepare_folder(self, fresh: bool) -> None:
         """Makes the run folder: what is refused before has written and removed nothing."""
@@ -162,48 +163,41 @@ class Trainer:
         write_json(self.run / "config.json", stored_settings(self.config, self.run))
         with Interrupt(partial(say, _STOPPING)) as interrupt, self.threads:
             try:
-                _ = self.member  # other processes take a while: not part of the first iteration's time
-                self.parts.callbacks.train_begin(self)
+                _ = self.collection  # workers take a while to start: not part of the first iteration's time
+                self.parts.callbacks.call("on_train_begin", self)
                 self.save()
                 with self.progress:
                     self._loop(interrupt, on_iteration)
                 self.save()
-                self.member.team.dismiss()
             except CollectionError:
                 self.save()  # what was learned is whole: it was the next batch that did not come
                 if interrupt.signal is None:  # a whole process group may be asked to stop, workers included
                     raise
             finally:
                 self._close()
-                self.parts.callbacks.train_end()
+                self.parts.callbacks.call("on_train_end")
         return None if self.finished else interrupt.signal
 
     @cached_property
-    def member(self) -> Member:
-        """This process's part; other processes start when it is first asked for, and end with :meth:`train`."""
-        team = Team.form(self.config.learners, assist, self.config, self.run, self.parts.of_learners)
-        start = {"learner": self.learner.state_dict(), "curriculum": env_access.curriculum_state(self.curriculum)}
-        try:
-            team.share({**start, "iteration": self.iteration, "members": self._carried})
-            member = make_member(self.learner, self.env, team, self._env_maker, self.threads, self.iteration)
-            if self._carried:
-                member.load_state(self._carried[0])
-        except BaseException:
-            team.disband()
-            raise
-        return member
+    def collection(self) -> Collection:
+        """Where batches come from; workers start when it is first asked for, and end with :meth:`train`."""
+        policy = make_policy(self.config, self.learner.networks)
+        collection = Collection(self.config, self.env, self._env_maker, policy, self.iteration)
+        if self._carried:
+            collection.load_state_dict(self._carried["collection"])
+            load_rng_state(self._carried["rng"])  # last: building all this drew from it
+        return collection
 
     def _close(self) -> None:
-        if "member" in vars(self):
-            self.member.collection.shutdown()
-            self.member.team.disband()
-            del self.member
+        if "collection" in vars(self):
+            self.collection.shutdown()
+            del self.collection
 
     def _loop(self, interrupt: Interrupt, on_iteration: Callable[[dict[str, float]], bool | None] | None) -> None:
         saved = self._mark = time.monotonic()
         while not self.finished and interrupt.signal is None:
             metrics = self.iterate()
-            ended = self.parts.callbacks.iteration(metrics)
+            ended = any(self.parts.callbacks.call("on_iteration", metrics))
             self.progress.update(metrics)
             if on_iteration is not None:
                 ended |= bool(on_iteration(metrics))
@@ -227,13 +221,24 @@ class Trainer:
         return self.progress_made >= 1
 
     def iterate(self) -> dict[str, float]:
-        """Collects a batch and learns from it.
+        """Collect a batch and learn from it.
 
         Returns:
             Its metrics; frames a second and minutes are with logs and checkpoints.
         """
-        metrics = self.member.lead("iterate", self.progress_made)
+        self.threads.update()
+        self.learner.anneal(self.progress_made)
+        started = time.monotonic()
+        batch = self.parts.callbacks.through("on_batch", self.collection.collect())
+        collected = time.monotonic()
+        metrics = {**batch_metrics(batch), **self.learner.update(batch)}
+        self.collection.publish()
+        self.collection.exchange()
+        metrics |= self.collection.metrics()
+        metrics["std"] = float(self.learner.networks.exploration.std().detach().mean())
+        metrics["torch_threads"] = self.threads.count
         now = time.monotonic()
+        metrics["collect_seconds"], metrics["learn_seconds"] = collected - started, now - collected
         metrics["frames_per_second"] = self.config.frames_per_batch / (now - self._mark)
         self.frames += self.config.frames_per_batch
         self.iteration += 1
@@ -258,9 +263,9 @@ class Trainer:
 
     def _state(self, origin: dict[str, Any]) -> dict[str, Any]:
         """All that a resumed run depends on."""
-        if "member" in vars(self):
-            self._carried = self.member.lead("state")
-        mine, *others = self._carried or [member_state(self.parts.callbacks)]
+        if "collection" in vars(self):
+            self._carried = {"collection": self.collection.state_dict(), "rng": rng_state()}
+        carried = self._carried or {"collection": {}, "rng": rng_state()}
         return {
             "config": stored_settings(self.config, self.run),
             "model": self._model,
@@ -268,9 +273,8 @@ class Trainer:
             "start": self._start,
             "learner": self.learner.state_dict(),
             "curriculum": env_access.curriculum_state(self.curriculum),
-            **mine,
+            **carried,
             "callbacks": self.parts.callbacks.state_dict(),
-            "members": others,
             "frames": self.frames,
             "iteration": self.iteration,
             "seconds": self.seconds,
@@ -289,9 +293,8 @@ class Trainer:
         env_access.load_curriculum(self.curriculum, state["curriculum"])
         self.frames, self.iteration, self.seconds = (state[name] for name in ("frames", "iteration", "seconds"))
         self._start = state.get("start")
-        mine = {"collection": state.get("collection", {}), "rng": state["rng"]}
-        self._carried = [mine, *state.get("members", [])]
+        self._carried = {"collection": state.get("collection", {}), "rng": state["rng"]}
         self.reward = state.get("reward", 0.0)
         self.best_reward = state.get("best_reward", float("-inf"))
         self.parts.callbacks.load_state_dict(state.get("callbacks", {}))
-        self.parts.callbacks.resume(state)
+        self.parts.callbacks.call("on_resume", state)

@@ -84,9 +84,9 @@ def test_weight_ahead_pitches_both_boards_alike(block_engine):
     ride(engine, 50)
     right, left = engine.qpos[0, engine.scene.support_layout.tilt_qpos].tolist()
     assert right > 0.03
-    assert right == pytest.approx(left, abs=1e-9)
+    assert right == pytest.approx(left, abs=1e-6)  # no-slip iterations take contacts in their order
     assert engine.hook.speeds[0, 0] > 0.3
-    assert abs(engine.hook.speeds[0, 1]) < 1e-9
+    assert abs(engine.hook.speeds[0, 1]) < 1e-6
 
 
 @pytest.mark.parametrize("block_scene", ["two_board_g1"], indirect=True)
@@ -140,29 +140,33 @@ def test_empty_deck_rings_down_as_stiffness_damping_and_inertia_say(block_engine
     assert root.real / abs(root.imag) == pytest.approx(-decay / frequency, rel=0.03)
 
 
-def test_block_on_a_level_deck_at_three_metres_per_second_squared_creeps_below_two_millimetres(block_engine):
+def test_block_on_a_level_deck_at_three_metres_per_second_squared_stays_where_it_is(block_engine):
     engine = block_engine(level=True)
     ride(engine, 10)
     engine.hook.law = Prescribed((3.0, 0.0))
     ride(engine, 49)
     before = relative(engine)
-    ride(engine, 1)
-    assert engine.hook.speeds[0, 0] == pytest.approx(3.0)
-    assert abs(relative(engine) - before).max() / CONTROL_DT < 2e-3
+    ride(engine, 50)
+    assert engine.hook.speeds[0, 0] == pytest.approx(3.0 * 99 * CONTROL_DT)
+    assert abs(relative(engine) - before).max() < 1e-5
 
 
-@pytest.mark.parametrize(("share", "slides"), [(0.65, False), (1.05, True)])
-def test_block_on_a_turning_deck_slides_when_friction_cannot_hold_it(block_engine, share, slides):
-    # a pyramidal friction cone holds between mu / sqrt(2) and mu, by direction: sure below 0.7, gone above 1
+@pytest.mark.parametrize("place", [0, 22.5, 45])
+@pytest.mark.parametrize(("share", "slides"), [(0.9, False), (1.05, True)])
+def test_block_on_a_turning_deck_slides_when_friction_cannot_hold_it(block_engine, share, slides, place):
+    # in every direction alike: on a pyramidal cone it slides from 1/sqrt(2) of its friction on, by direction
     radius, friction = 0.2, 0.3
     rate = np.sqrt(share * friction * 9.81 / radius)
-    engine = block_engine((radius, 0.0), friction=friction, level=True)
+    engine = block_engine(
+        (radius * np.cos(np.deg2rad(place)), radius * np.sin(np.deg2rad(place))), friction=friction, level=True
+    )
     engine.hook.law = Prescribed((0.0, 2.0), limit=rate)
     ride(engine, int(rate / 2.0 / CONTROL_DT) + 1)
     before = relative(engine)
     ride(engine, 50)
     moved = np.linalg.norm(relative(engine) - before)
-    assert moved > 0.2 if slides else moved < 0.01
+    outwards = radius * rate**2 * TIMESTEP / 2  # m/s: each step goes straight on where the deck turns
+    assert moved > 0.2 if slides else moved == pytest.approx(outwards, rel=0.1)
 
 
 def test_random_actions_of_the_rider_hardly_move_the_prescribed_motion():

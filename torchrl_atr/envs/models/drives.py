@@ -40,11 +40,14 @@ def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readi
     """
     smoothing = readings.steering_smoothing
     forward = tilt[..., 0]
-    sign = torch.tanh(forward / smoothing) if smoothing else torch.where(forward < 0.0, -1.0, 1.0)
+    sign = torch.tanh(forward / smoothing) if smoothing else torch.copysign(_ONE, forward + 0.0)  # sgn(-0) = 1, too
     pushes = (tilt / transporter.tilt_norm).clamp_(-1.0, 1.0)
     pushes *= _limits(transporter.max_acceleration, -transporter.max_yaw_acceleration)
-    pushes[..., 1] *= sign
+    pushes[..., 1].mul_(sign)
     return pushes
+
+
+_ONE = torch.ones((), dtype=torch.float64)
 
 
 @cache

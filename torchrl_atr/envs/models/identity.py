@@ -13,6 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from torchrl_atr.envs.models.contacts import ContactModel
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
 
@@ -34,6 +35,8 @@ _DERIVED = {
     *("geom_rgba", "tendon_rgba", "tendon_width"),
 }
 """What MuJoCo computes from the rest, each version in its own way, and what is only looked at."""
+_CONTACTS = {field.name for field in dataclasses.fields(ContactModel)}
+"""Options that are neither the robot's nor the transporter's: what was trained under other ones can be ridden here."""
 _TOLERANCE = 1e-6
 """Relative: MuJoCo's versions round differently."""
 
@@ -119,7 +122,8 @@ def _facts(robot: RobotSpec) -> dict[str, Any]:
 
 
 def _options(model: mujoco.MjModel) -> dict[str, Any]:
-    return {name: _plain(getattr(model.opt, name)) for name in dir(model.opt) if not name.startswith("_")}
+    names = (name for name in dir(model.opt) if not name.startswith("_") and name not in _CONTACTS)
+    return {name: _plain(getattr(model.opt, name)) for name in names}
 
 
 def _elements(scene: Scene) -> Iterator[tuple[str, str, dict[str, Any]]]:

@@ -8,6 +8,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from torchrl_atr.envs.models.contacts import CONTACTS
 from torchrl_atr.envs.models.feet import find_feet
 from torchrl_atr.envs.models.isolation import check_names
 from torchrl_atr.envs.models.loading import compile_spec, load_robot
@@ -131,11 +132,9 @@ def _set_options(spec: mujoco.MjSpec) -> None:
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # feet that hold do not creep: with a pyramidal cone and impratio 1 they move by 6 cm a minute, and rides end
-    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.impratio, option.noslip_iterations = 10, 2
     option.solver = mujoco.mjtSolver.mjSOL_NEWTON
     option.iterations, option.ls_iterations = 10, 20
+    CONTACTS.write(option)
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
     spec.memory = 1 << 20
 

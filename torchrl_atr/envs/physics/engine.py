@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from torchrl_atr._errors import InputError
+from torchrl_atr._threads import one_torch_thread
 from torchrl_atr.envs.models.scene import TIMESTEP, Scene, columns
 from torchrl_atr.envs.physics.hook import SubstepHook, check_hook
 
@@ -192,7 +192,7 @@ class Engine(ABC):
                 nominal values; None leaves the fields as they are.
         """
         if write is not None:
-            fresh = ModelFields(lambda name: self.nominal(name).expand(len(rows), *self.nominal(name).shape).clone())
+            fresh = ModelFields(lambda name: torch.stack([self.nominal(name)] * len(rows)))
             write(fresh)
             for name, values in fresh.items():
                 self.fields[name][rows] = values
@@ -278,17 +278,6 @@ def _field(model: mujoco.MjModel, name: str) -> NDArray[Any]:
     if not isinstance(value, np.ndarray):
         raise TypeError(f"{name} is no array")
     return value
-
-
-@contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Run a block with one of torch's threads: others would spin on the CPUs that physics needs."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def shared(array: NDArray[Any]) -> Tensor:

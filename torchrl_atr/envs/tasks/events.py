@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchrl_atr._checks import check_number
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs.models.scene import STAND, Scene
+from torchrl_atr.envs.models.scene import STAND, Scene, columns
 from torchrl_atr.envs.physics.engine import CONTROL_DT, Engine
 from torchrl_atr.envs.tasks.context import StepContext
 
@@ -96,11 +96,11 @@ def stand(scene: Scene, command: Tensor, generator: torch.Generator) -> InitialS
         generator: source of randomness.
     """
     n, key = len(command), scene.model.key(STAND)
-    joints, root = torch.as_tensor(scene.layout.joint_qpos), scene.layout.root_qpos
+    joints, root = scene.layout.joint_qpos, scene.layout.root_qpos
     draw = torch.rand(n, 1 + len(joints), generator=generator, dtype=torch.float64)
-    qpos = torch.from_numpy(key.qpos).repeat(n, 1)
-    qpos[:, root + 2] += HEIGHT_SPREAD * draw[:, 0]
-    qpos[:, joints] += JOINT_SPREAD * (2.0 * draw[:, 1:] - 1.0)
+    qpos = torch.from_numpy(key.qpos).expand(n, -1).clone()
+    qpos[:, root + 2].add_(draw[:, 0], alpha=HEIGHT_SPREAD)
+    qpos[:, columns(joints)] += JOINT_SPREAD * (2.0 * draw[:, 1:] - 1.0)
     qvel = torch.zeros(n, scene.model.nv, dtype=torch.float64)
     return InitialState(qpos, qvel, torch.zeros(n, dtype=torch.bool))
 

@@ -25,7 +25,7 @@ def payload(fields: ModelFields, value: Tensor, scene: Scene) -> None:
 
 def com_shift(fields: ModelFields, value: Tensor, scene: Scene) -> None:
     """Move the trunk's centre of mass, m, (n, 3)."""
-    fields["body_ipos"][:, scene.layout.trunk_body] += value
+    fields["body_ipos"][:, scene.layout.trunk_body].add_(value)
 
 
 def kp(fields: ModelFields, value: Tensor, scene: Scene) -> None:
@@ -48,8 +48,8 @@ def friction(fields: ModelFields, value: Tensor, scene: Scene) -> None:
 
 def scale_body(fields: ModelFields, body: int, scale: Tensor) -> None:
     """Multiply a body's mass and inertia by a factor, (n,)."""
-    fields["body_mass"][:, body] *= scale
-    fields["body_inertia"][:, body] *= scale[:, None]
+    fields["body_mass"][:, body].mul_(scale)
+    fields["body_inertia"][:, body].mul_(scale[:, None])
 
 
 def scaled(function: Apply, unit: float | Tensor, fields: ModelFields, value: Tensor, scene: Scene) -> None:

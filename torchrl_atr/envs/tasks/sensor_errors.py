@@ -106,7 +106,7 @@ class SensorErrors:
         drawn = {}
         for key, scale in self._scales.items():
             bias, delay, before = (self.state[_name(key, name)] for name in ("bias", "delay", "before"))
-            bias = self.state[_name(key, "bias")] = self._walk(bias, scale)
+            bias = self.state[_name(key, "bias")] = self._wander(bias, scale)
             drawn[key] = {
                 "offset": bias + self._noise(scale, len(bias)),
                 "delay": delay * scale["delay"],
@@ -123,9 +123,9 @@ class SensorErrors:
             else:
                 self.state[name] = self.state[name].index_copy(0, rows, exact[key])
 
-    def _walk(self, bias: Tensor, scale: Mapping[str, Tensor]) -> Tensor:
-        walking = torch.isfinite(scale["bias_time"]) & (scale["bias"] > 0)
-        columns = walking.nonzero().squeeze(-1)
+    def _wander(self, bias: Tensor, scale: Mapping[str, Tensor]) -> Tensor:
+        wandering = torch.isfinite(scale["bias_time"]) & (scale["bias"] > 0)
+        columns = wandering.nonzero().squeeze(-1)
         if not len(columns):
             return bias
         keep = torch.exp(-CONTROL_DT / scale["bias_time"][columns])

@@ -176,8 +176,8 @@ class StateReader:
 
 
 def single(values: Tensor) -> Tensor:
-    """Return a float32 copy, contiguous."""
-    return values.to(torch.float32, copy=True, memory_format=torch.contiguous_format)
+    """Return a float32 copy."""
+    return values.to(torch.float32, copy=True)
 
 
 def _by_foot(values: Tensor, sizes: tuple[int, ...], reduce: Callable[..., Tensor]) -> Tensor:

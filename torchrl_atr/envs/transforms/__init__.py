@@ -4,7 +4,7 @@ from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.once import StoredOnce
-from torchrl_atr.envs.transforms.runaway import RunawayTermination
+from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
 from torchrl_atr.envs.transforms.stack import task_transforms
 from torchrl_atr.envs.transforms.stagger import StaggeredCounter
 
@@ -12,7 +12,7 @@ __all__ = [
     "CommandCurriculum",
     "CommandGrid",
     "ObservationHistory",
-    "RunawayTermination",
+    "OverspeedTermination",
     "StaggeredCounter",
     "StoredOnce",
     "task_transforms",

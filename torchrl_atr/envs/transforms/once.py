@@ -8,18 +8,22 @@ from typing import NoReturn
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.data import Composite, TensorSpec
-from torchrl.envs.transforms import Transform
 
 from torchrl_atr._checks import check_keys
 from torchrl_atr._registry import nearest_entry
+from torchrl_atr._torchrl_private import AfterStepTransform
 
 
-class StoredOnce(Transform):
+class StoredOnce(AfterStepTransform):
     """Keeps entries out of ``next``, or out of the root, of what :class:`~torchrl.collectors.Collector` stores.
 
     TorchRL stores every observation twice. The history at the root of a step is all that policies and estimators read
     of it, and makes up most of a step; what says how a step went, such as reward terms, is of no use at the root of the
     next one, to which it would be carried, and merged with every reset.
+
+    TorchRL's ``ExcludeTransform`` takes an entry out of the root as well, from which policies read it; its collectors'
+    ``compact_obs=True`` leaves out all observations of ``next``, NaN where an episode ends, so that truncated episodes
+    lose their last value.
 
     Place it last. It is for collectors, and for rollouts that stop when an env is done: others keep all of their last
     step. What is stored in ``next`` is no root to go on from, and TorchRL's ``check_env_specs`` insists on all that is
@@ -39,6 +43,8 @@ class StoredOnce(Transform):
         >>> "observation" in data, "observation" in data["next"]
         (True, False)
     """
+
+    worker_error = "wrap it instead: TransformedEnv(ParallelEnv(...), StoredOnce(...))"
 
     def __init__(self, at_root: Sequence[NestedKey] = (), in_next: Sequence[NestedKey] = ()) -> None:
         for name, keys in {"at_root": at_root, "in_next": in_next}.items():
@@ -75,23 +81,15 @@ class StoredOnce(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict
 
-    def _post_step_mdp_hooks(
-        self, tensordict: TensorDictBase, tensordict_: TensorDictBase
-    ) -> tuple[TensorDictBase, TensorDictBase]:
-        after = tensordict.get("next")
+    def after_step(self, step: TensorDictBase, root: TensorDictBase) -> None:
+        """Remove each entry where it is not kept."""
+        after = step.get("next")
         for key in self.at_root:
             after.pop(key, None)
         for key in self.in_next:
-            tensordict_.pop(key, None)  # of a root that was not reset here
-        return tensordict, tensordict_
+            root.pop(key, None)  # of a root that was not reset here
 
     def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
         raise NotImplementedError("StoredOnce only works on the steps of an environment")
 
     forward = _call
-
-    def _check_batched_worker_compat(self) -> None:
-        raise RuntimeError(
-            "StoredOnce cannot be part of what a ParallelEnv or SerialEnv runs; wrap it instead: "
-            "TransformedEnv(ParallelEnv(...), StoredOnce(...))"
-        )

@@ -18,8 +18,9 @@ _FIELDS = ("command", "cells", "elapsed", "sums", "pinned")
 class CommandRows(nn.Module):
     """One flat entry per environment row: its command, the command's cell, the state of its window, its pin.
 
-    Everything is None until :meth:`allocate`. The fields move with ``.to()`` and travel as extra state, so
-    that a ``state_dict`` from before the first reset, or of another batch size, can be loaded.
+    A ``tensordict.TensorClass`` would hold the same fields; its ``load_state_dict`` takes no other batch size, and it
+    does not move with a module. Everything is None until :meth:`allocate`. The fields move with ``.to()`` and travel
+    as extra state, so that a ``state_dict`` from before the first reset, or of another batch size, can be loaded.
 
     Attributes:
         batch: The environment's batch size ``B``; ``n`` is its number of rows.

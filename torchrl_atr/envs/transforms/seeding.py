@@ -9,6 +9,7 @@ from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import Transform
 
 from torchrl_atr._checks import check_whole
+from torchrl_atr._torchrl_private import env_around, parallel_seeds, serial_envs
 
 _UNKNOWN = ("not attached yet",)
 
@@ -41,27 +42,19 @@ def env_seeding(env: EnvBase | None) -> tuple[Any, ...] | None:
     while isinstance(env, TransformedEnv):
         env = env.base_env
     if isinstance(env, ParallelEnv):
-        seeds = env.__dict__.get("_seeds")  # a new list at every set_seed
+        seeds = parallel_seeds(env)
         return (id(seeds), seeds, seeds[0]) if seeds else None
     if isinstance(env, SerialEnv):
-        seedings = [env_seeding(part) for part in env.__dict__.get("_envs") or ()]
+        seedings = [env_seeding(part) for part in serial_envs(env)]
         return (*seedings, seedings[0][-1]) if seedings and seedings[0] is not None else None
     return None if env is None else vars(env).get("seeding")
-
-
-def _env_around(transform: Transform) -> EnvBase | None:
-    """Return the env that a transform is attached to, through any ``Compose``; ``container`` wants a complete one."""
-    around: Any = transform
-    while isinstance(around, Transform):
-        reference = around.__dict__.get("_container")
-        around = None if reference is None else reference()
-    return around
 
 
 class OwnGenerator(Transform):
     """A transform with a generator of its own, seeded by its constructor, :meth:`set_seed` or ``env.set_seed``.
 
-    A subclass draws from what :meth:`_source` returns.
+    TorchRL's random transforms draw from torch's global generator: their draws depend on all that is drawn elsewhere. A
+    subclass draws from what :meth:`_source` returns.
     """
 
     _generator: torch.Generator
@@ -74,18 +67,18 @@ class OwnGenerator(Transform):
             InputError: for a seed that is not a whole number.
         """
         self._generator.manual_seed(check_whole("seed", seed, high=2**63 - 1))
-        self._seen = env_seeding(_env_around(self))
+        self._seen = env_seeding(env_around(self))
 
     def set_container(self, container: Transform | EnvBase) -> None:
         """Attach to an env; seeds that it was given before do not count."""
         super().set_container(container)
-        env = _env_around(self)
+        env = env_around(self)
         if self._seen is _UNKNOWN and env is not None:
             self._seen = env_seeding(env)
 
     def _source(self) -> torch.Generator:
         """Return the generator, restarted if the env was seeded since it was last used."""
-        now = env_seeding(_env_around(self))
+        now = env_seeding(env_around(self))
         if now != self._seen:
             self._seen = now
             if now is not None:
@@ -94,4 +87,4 @@ class OwnGenerator(Transform):
 
     def _restore_generator(self, state: torch.Tensor) -> None:
         self._generator.set_state(state.cpu())
-        self._seen = env_seeding(_env_around(self))
+        self._seen = env_seeding(env_around(self))

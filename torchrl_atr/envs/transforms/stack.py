@@ -11,7 +11,7 @@ from torchrl_atr._checks import check_flag, check_pair, check_whole
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.once import StoredOnce
-from torchrl_atr.envs.transforms.runaway import RunawayTermination
+from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
 from torchrl_atr.envs.transforms.stagger import StaggeredCounter
 
 
@@ -41,7 +41,7 @@ def task_transforms(
         max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
         stagger: If positive, the first episodes end at different times, and the limit is looked at in every so many
             steps: a :class:`StaggeredCounter`.
-        runaway_margin: If given, of a :class:`RunawayTermination` behind the curriculum, m/s and rad/s.
+        runaway_margin: If given, of a :class:`OverspeedTermination` behind the curriculum, m/s and rad/s.
         runaway_penalty: Added to the reward of a runaway.
         stored_once: Whether collected steps hold the history at the root alone, and reward terms in ``next`` alone:
             a :class:`StoredOnce` behind all others.
@@ -61,7 +61,7 @@ def task_transforms(
     if runaway_margin is not None:
         check_pair("runaway_margin", runaway_margin, "two positive numbers (m/s, rad/s)")
     command = CommandCurriculum(tracking_max, **curriculum)
-    guards = [] if runaway_margin is None else [RunawayTermination(command, runaway_margin, runaway_penalty)]
+    guards = [] if runaway_margin is None else [OverspeedTermination(command, runaway_margin, runaway_penalty)]
     return Compose(
         command,
         *guards,

@@ -19,7 +19,8 @@ class StaggeredCounter(OwnGenerator, StepCounter):
 
     Robots that start together and do not fall end together, in every episode to come: a batch then is
     the same short part of everybody's episode. An env that begins anew later counts from zero. TorchRL's
-    ``RandomTruncationTransform`` draws horizons, at every step of which it compares once more; this draws counts.
+    ``RandomTruncationTransform`` draws horizons from the global generator and compares once more at every step; this
+    draws counts from its own.
 
     New episodes cost a step of many envs about as much whether one begins or twenty. With ``every`` they begin
     together: an episode that has lasted ``max_steps`` goes on to the next multiple of ``every`` steps of the env.

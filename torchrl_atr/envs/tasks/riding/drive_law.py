@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from torchrl_atr._errors import InputError
+from torchrl_atr._threads import one_torch_thread
 from torchrl_atr.envs.models.boards import TransporterLayout
 from torchrl_atr.envs.models.scene import TIMESTEP, columns
-from torchrl_atr.envs.models.transporter import TransporterSpec
-from torchrl_atr.envs.physics.engine import Engine, one_torch_thread
+from torchrl_atr.envs.models.transporter import Matrix, TransporterSpec
+from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.physics.hook import SubstepHook
 from torchrl_atr.envs.profiles import Readings
 
@@ -64,11 +65,32 @@ def advance(
     return torch.addcmul(x, scale, push - resistance(x, coefficients, readings), value=dt)
 
 
-def mix(angles: Tensor, rows: tuple[Tensor, ...]) -> Tensor:
-    """Return ``angles @ matrix`` of (N, hinges) and (hinges, 2), given its rows (2,), written out.
+Combination = tuple[Tensor, ...] | None
+"""What :func:`combine` multiplies hinge angles by: the rows of a matrix (hinges, 2); None for the identity."""
+
+
+def combination(matrix: Matrix, dtype: torch.dtype) -> Combination:
+    """Return what makes forward and steering tilt, or pitch and roll, of hinge angles.
+
+    Args:
+        matrix: of a :class:`~torchrl_atr.envs.models.transporter.Design`, (2, hinges).
+        dtype: of the angles.
+    """
+    rows = torch.tensor(matrix, dtype=dtype).T
+    return None if torch.equal(rows, torch.eye(2, dtype=dtype)) else rows.unbind()
+
+
+def combine(angles: Tensor, rows: Combination) -> Tensor:
+    """Return ``angles @ matrix`` of (N, hinges) and (hinges, 2), written out, in memory of its own.
 
     A matrix product wakes torch's threads, which then spin on the CPUs that physics needs, and ends a compiled loop.
+
+    Example:
+        >>> combine(torch.tensor([[0.1, 0.3]]), combination(((0.5, 0.5), (0.5, -0.5)), torch.float32))
+        tensor([[ 0.2000, -0.1000]])
     """
+    if rows is None:
+        return angles.clone()
     mixed = angles[:, :1] * rows[0]
     for i in range(1, len(rows)):
         mixed = torch.addcmul(mixed, angles[:, i : i + 1], rows[i])
@@ -96,9 +118,7 @@ class DriveLaw:
     readings: Readings
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "_driving", torch.tensor(self.transporter.design.driving, dtype=torch.float64).T.unbind()
-        )
+        object.__setattr__(self, "_driving", combination(self.transporter.design.driving, torch.float64))
 
     def mass_scale(self, mass: Tensor) -> Tensor:
         """Compute what multiplies (drive - R): 1/m_P and 1/I_zz, or relative to the nominal transporter (A9).
@@ -109,14 +129,16 @@ class DriveLaw:
         Returns:
             Shape (N, 2): forward, yaw. The boards are uniform boxes, so I_zz (or I*_zz) follows their mass.
         """
-        nominal = self.transporter.mass, self.inertia
-        reference = nominal if self.readings.relative_mass else (1.0, 1.0)
-        return torch.stack([reference[0] / mass, reference[1] / (mass / nominal[0] * nominal[1])], -1)
+        inertia = self.planar_inertia(mass)[:, 1:]
+        return (self._per_mass[1:] * self.transporter.mass if self.readings.relative_mass else 1.0) / inertia
+
+    def planar_inertia(self, mass: Tensor) -> Tensor:
+        """Compute what resists along x, along y and about z, kg, kg and kg m², (N, 3), for masses, kg, (N,)."""
+        return mass.unsqueeze(-1) * self._per_mass
 
     @cached_property
-    def inertia(self) -> float:
-        """Nominal moment of inertia about the vertical axis of P, kg m²."""
-        return self.transporter.inertia[2]
+    def _per_mass(self) -> Tensor:
+        return torch.tensor([1.0, 1.0, self.transporter.inertia[2] / self.transporter.mass], dtype=torch.float64)
 
     def __call__(self, speeds: Tensor, tilt: Tensor, scale: Tensor, dt: float) -> Tensor:
         """Compute the speeds (v_f, ω_z) after one substep.
@@ -127,8 +149,8 @@ class DriveLaw:
             scale: from :meth:`mass_scale`, shape (N, 2).
             dt: substep, s.
         """
-        driving: tuple[Tensor, ...] = vars(self)["_driving"]
-        pushes = self.transporter.design.drive(mix(tilt, driving), speeds, self.transporter, self.readings)
+        driving: Combination = vars(self)["_driving"]
+        pushes = self.transporter.design.drive(combine(tilt, driving), speeds, self.transporter, self.readings)
         return advance(speeds, pushes, self.transporter.resistance, scale, dt, self.readings)
 
 
@@ -156,31 +178,32 @@ class DriveHook(SubstepHook):
         self._armature = engine.nominal("dof_armature")[layout.planar_dof]
         n = engine.num_envs
         self.speeds = torch.zeros(n, 2, dtype=torch.float64)
-        self._scale, self._inertia = (torch.empty(n, size, dtype=torch.float64) for size in (2, 3))
+        self._scale, self._inertia, self._force = (torch.empty(n, size, dtype=torch.float64) for size in (2, 3, 3))
         self.state = {"speeds": self.speeds}
         self.refresh(torch.arange(n))
 
     def start(self, rows: Tensor) -> None:
         """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`; transporters head along x at first."""
         self.refresh(rows)
-        forward, _, yaw = self.engine.scene.support_layout.planar_dof
-        self.speeds[rows] = self.engine.qvel[rows][:, [forward, yaw]]
+        self.speeds[rows] = self.engine.qvel[rows][:, self._planar][:, ::2]  # along x and about z
 
     def refresh(self, rows: Tensor) -> None:
         """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`; the boards' masses are in the engine's fields."""
         mass = self.engine.fields["body_mass"][rows][:, self._boards].sum(-1)
-        spec = self.law.transporter
         self._scale[rows] = self.law.mass_scale(mass)
-        self._inertia[rows] = self._armature + torch.stack([mass, mass, mass / spec.mass * self.law.inertia], -1)
+        self._inertia[rows] = self._armature + self.law.planar_inertia(mass)
 
     def apply(self, dt: float) -> None:
         """Evaluate the law at the current tilt and apply the force that realises it in one substep."""
-        engine = self.engine
+        engine, force = self.engine, self._force
         self.speeds.copy_(self.law(self.speeds, engine.qpos[:, self._tilt], self._scale, dt))
         speed, yaw_rate = self.speeds.unbind(-1)
         heading = torch.add(engine.qpos[:, self._heading], yaw_rate, alpha=dt)
-        velocity = torch.stack([speed * torch.cos(heading), speed * torch.sin(heading), yaw_rate], -1)  # Eq. 2
-        engine.qfrc_applied[:, self._planar] = (velocity - engine.qvel[:, self._planar]).mul_(self._inertia).div_(dt)
+        x, y, about_z = force.unbind(-1)  # Eq. 2: first the velocity that is wanted
+        torch.mul(speed, torch.cos(heading), out=x)
+        torch.mul(speed, torch.sin(heading), out=y)
+        about_z.copy_(yaw_rate)
+        engine.qfrc_applied[:, self._planar] = force.sub_(engine.qvel[:, self._planar]).mul_(self._inertia).div_(dt)
 
     def lose(self, rows: Tensor) -> None:
         """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`: those stand still."""

@@ -14,7 +14,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.boards import BOARD_HEIGHT
 from torchrl_atr.envs.models.scene import columns
 from torchrl_atr.envs.physics.engine import Engine
-from torchrl_atr.envs.tasks.riding.drive_law import DriveHook, mix
+from torchrl_atr.envs.tasks.riding.drive_law import DriveHook, combination, combine
 from torchrl_atr.envs.tasks.rotations import angular_velocity, matrix_from_euler, rotate_back, wrap
 from torchrl_atr.envs.tasks.state import QuadrupedState, Readout, Rows, StateReader, single
 
@@ -66,8 +66,9 @@ class RidingStateReader(StateReader):
         self._tilt_qpos, self._tilt_dof = columns(layout.tilt_qpos), columns(layout.tilt_dof)
         design = engine.scene.support.spec.design
         # both from hinge angles: (n, hinges) @ (hinges, 2)
-        self._driving = torch.tensor(design.driving, dtype=torch.float32).T.unbind()
-        self._roll_and_pitch = torch.tensor(design.attitude, dtype=torch.float32).flip(0).T.unbind()
+        self._driving = combination(design.driving, torch.float32)
+        pitch, roll = design.attitude
+        self._roll_and_pitch = combination((roll, pitch), torch.float32)
         super().__init__(engine)
 
     @property
@@ -91,7 +92,7 @@ class RidingStateReader(StateReader):
         """See :class:`~torchrl_atr.envs.tasks.state.StateReader`; v_P and ω_P follow."""
         qvel = readout["qvel"]
         planar = qvel[:, self._planar_dof]
-        rates = torch.cat([mix(qvel[:, self._tilt_dof], self._roll_and_pitch), planar[:, 2:]], -1)
+        rates = torch.cat([combine(qvel[:, self._tilt_dof], self._roll_and_pitch), planar[:, 2:]], -1)
         platform = pad(planar[:, :2], (0, 1))  # it keeps its height
         turning = angular_velocity(self._platform_euler(readout), rates)
         return torch.cat([super().velocities_of(readout), platform, turning], -1)
@@ -99,7 +100,7 @@ class RidingStateReader(StateReader):
     def _platform_euler(self, readout: Readout) -> Tensor:
         """Return roll, pitch and yaw of P, (n, 3)."""
         qpos = readout["qpos"]
-        attitude = mix(qpos[:, self._tilt_qpos], self._roll_and_pitch)
+        attitude = combine(qpos[:, self._tilt_qpos], self._roll_and_pitch)
         return torch.cat([attitude, qpos[:, self._planar_qpos][:, 2:]], -1)
 
     def parts(self, readout: Readout, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
@@ -112,7 +113,7 @@ class RidingStateReader(StateReader):
             "platform_acceleration": rates[:, -6:-3],
             "platform_rotation": matrix_from_euler(*euler.unbind(-1)),
             "platform_euler": euler,
-            "driving_tilt": mix(qpos[:, self._tilt_qpos], self._driving),
+            "driving_tilt": combine(qpos[:, self._tilt_qpos], self._driving),
             "platform_angular_velocity": velocities[:, -3:],
             "platform_angular_acceleration": rates[:, -3:],
             "speeds": readout["speeds"],

@@ -1,25 +1,28 @@
-"""Ends the episodes of transporters that ran away: training time goes to speeds that commands ask for."""
+"""End the episodes of transporters that are too fast: training time goes to speeds that commands ask for."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NoReturn
 
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
-from torchrl.envs.transforms import Transform
+from torch import Tensor
+from torchrl.envs.transforms import TerminateTransform
 
 from torchrl_atr._checks import check_key, check_keys, check_kind, check_number, check_pair
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 
 
-class RunawayTermination(Transform):
-    """Terminates rows whose transporter is faster than any command that the curriculum can draw, plus a margin.
+class OverspeedTermination(TerminateTransform):
+    """Terminate rows whose transporter is faster than any command that the curriculum can draw, plus a margin.
 
     The tracking rewards exp(-|e| / 0.5) have no slope at an error of some metres per second: a board that ran away
     gives no hint of how to stop it, and an untrained rider lets it run away within a second. Ending such episodes
     keeps rollouts where there is something to learn; as the curriculum grows, so does what is allowed. It is for
     training, not part of the task: evaluation does without it.
+
+    TorchRL's :class:`~torchrl.envs.transforms.TerminateTransform` ends the episodes. What it lacks is the price of
+    doing so: the env computed the reward before it knew that the episode ends, so the penalty is added here.
 
     Args:
         curriculum: whose frontier bounds the commands.
@@ -32,7 +35,7 @@ class RunawayTermination(Transform):
         ValueError: if a margin is not positive.
 
     Example:
-        >>> RunawayTermination(CommandCurriculum((0.2, 0.2), seed=0)).margin
+        >>> OverspeedTermination(CommandCurriculum((0.2, 0.2), seed=0)).margin
         (2.0, 2.0)
     """
 
@@ -44,30 +47,26 @@ class RunawayTermination(Transform):
         speeds_key: NestedKey = "speeds",
         reward_keys: Sequence[NestedKey] = ("reward", ("reward_terms", "termination")),
     ) -> None:
-        super().__init__(in_keys=[check_key("speeds_key", speeds_key)], out_keys=[])
+        super().__init__(self.too_fast)
+        self.speeds_key = check_key("speeds_key", speeds_key)
         check_kind("curriculum", curriculum, CommandCurriculum, "the CommandCurriculum in front of it")
         self.margin = check_pair("margin", margin, "two positive numbers (m/s, rad/s)")
         self.penalty = check_number("penalty", penalty)
         self.reward_keys = tuple(check_keys("reward_keys", reward_keys))
         self._curriculum = [curriculum]  # in a list: a part of the stack, not a submodule of this transform
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        speeds = next_tensordict.get(self.in_keys[0])
+    def too_fast(self, next_tensordict: TensorDictBase) -> Tensor:
+        """Return the rows beyond the frontier and the margin, bool ``(*B, 1)``."""
+        speeds = next_tensordict.get(self.speeds_key)
         reach = zip(self._curriculum[0].frontier, self.margin, strict=True)
         limit = speeds.new_tensor([largest + margin for largest, margin in reach])
-        away = (speeds.abs() > limit).any(-1, keepdim=True)
-        ended = away & ~next_tensordict.get("terminated")
+        return (speeds.abs() > limit).any(-1, keepdim=True)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        before = next_tensordict.get("terminated")
+        next_tensordict = super()._step(tensordict, next_tensordict)
+        ended = next_tensordict.get("terminated") & ~before
         for key in self.reward_keys if self.penalty else ():
             reward = next_tensordict.get(key)
             next_tensordict.set(key, reward + self.penalty * ended.to(reward.dtype))
-        for key in ("terminated", "done"):
-            next_tensordict.set(key, next_tensordict.get(key) | away)
         return next_tensordict
-
-    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset
-
-    def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
-        raise NotImplementedError("RunawayTermination only works on the step of an environment")
-
-    forward = _call

@@ -1,0 +1,136 @@
+"""Every figure that a policy's card needs, by one command: ``python -m benchmarks.scorecard RUN``.
+
+Each row is one ``torchrl-atr evaluate``; its report stands in a folder of RUN. Stopped and called again, it goes on
+with the rows that are missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from benchmarks import results
+from torchrl_atr import cli
+from torchrl_atr._errors import UserError
+from torchrl_atr._files import say
+from torchrl_atr.evaluation.intervals import wilson
+from torchrl_atr.training.provenance import cores, machine
+
+STILL = ("--max-speed", "0", "--max-yaw-rate", "0", "--no-pushes")
+NARROW = ("--max-speed", "5", "--max-yaw-rate", "1", "--speed-step", "1", "--yaw-rate-step", "0.25")
+WIDE = ("--max-speed", "15", "--max-yaw-rate", "2", "--speed-step", "3", "--yaw-rate-step", "0.5")
+TEST = ("--randomization", "test")
+LASTING = ("--protocol", "endurance")
+EVALUATIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "tracking": ("10 s, ±2 m/s × ±1 rad/s", ()),
+    "tracking-test": ("the same, test range", TEST),
+    "area-5x1": ("10 s, ±5 m/s × ±1 rad/s", NARROW),
+    "area-5x1-test": ("the same, test range", (*NARROW, *TEST)),
+    "area-15x2": ("10 s, ±15 m/s × ±2 rad/s", WIDE),
+    "area-15x2-test": ("the same, test range", (*WIDE, *TEST)),
+    "endurance": ("60 s, pushes, commands change every 5 s", (*LASTING, "--robots", "400")),
+    "endurance-test": ("the same, test range", (*LASTING, "--robots", "400", *TEST)),
+    "endurance-300": ("300 s of the same", (*LASTING, "--robots", "200", "--seconds", "300")),
+    "standing-300": ("300 s standing still, no pushes", (*LASTING, "--robots", "200", "--seconds", "300", *STILL)),
+}
+"""By the folder of the report: what is measured, and the options of ``torchrl-atr evaluate``."""
+
+
+def evaluate(run: Path, seed: int) -> dict[str, dict[str, Any]]:
+    """Measure what is missing, and return the metrics of every row.
+
+    Raises:
+        UserError: if an evaluation failed.
+    """
+    metrics = {}
+    for name, (_, options) in EVALUATIONS.items():
+        folder = run / name
+        if not (folder / "metrics.json").is_file():
+            say(f"{name}: torchrl-atr evaluate {run} {' '.join(options)}")
+            if cli.main(["evaluate", str(run), "--seed", str(seed), "--output", str(folder), *options]):
+                raise UserError(f"the evaluation {name!r} failed; its message stands above")
+        metrics[name] = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+    return metrics
+
+
+def row(name: str, metrics: Mapping[str, Any]) -> str:
+    """Return a row of the table: survival with its interval, settled errors, share of commands mastered."""
+    up, n = metrics["survival"], metrics["n"]
+    low, high = metrics.get("survival_interval") or wilson(round(up * n), n)
+    errors = [metrics["settled_speed_error"], metrics["settled_yaw_error"]]
+    mastered = metrics.get("commands_mastered")
+    cells = [EVALUATIONS[name][0], str(n), f"{up:.1%} [{low:.1%}, {high:.1%}]"]
+    cells += ["-" if error is None else f"{error:.3f}" for error in errors]
+    cells.append("-" if mastered is None else f"{mastered:.0%}")
+    return f"| {' | '.join(cells)} |"
+
+
+def page(report: Mapping[str, Any]) -> str:
+    """Return the report as Markdown."""
+    origin = report["run"]
+    lines = [
+        f"# {report['robot']} on {report['transporter']}",
+        "",
+        f"Trained by `{origin['command']}`: {origin['frames']:,} robot steps from scratch in "
+        f"{origin['minutes']:.0f} minutes on {cores(origin['hardware'])}, seed {origin['seed']}.",
+        "",
+        f"Measured by `{report['command']}`. Deployed: the policy reads what a robot senses, with the sensors that it "
+        "was trained with; training range unless a row says otherwise. Intervals are of 95 %; errors are means over "
+        "robots that are up, after settling; mastered commands are those at which most robots stay up and settle "
+        "within 0.5 m/s and 0.3 rad/s.",
+        "",
+        "| protocol | robots | up at the end | speed error, m/s | yaw error, rad/s | commands mastered |",
+        "| --- | --- | --- | --- | --- | --- |",
+        *(row(name, metrics) for name, metrics in report["evaluations"].items()),
+        "",
+    ]
+    lasting = report["evaluations"]["endurance"]
+    drift, (low, high) = lasting["estimate_drift"], lasting["estimate_drift_interval"]
+    lines += [
+        f"The error of the estimated platform speed in the last 10 s of a minute is {drift:.2f} times "
+        f"[{low:.2f}, {high:.2f}] that in the first 10 s.",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _measure(arguments: argparse.Namespace) -> None:
+    metrics = evaluate(arguments.run, arguments.seed)
+    origin = metrics["tracking"]
+    report = {
+        "command": f"python -m benchmarks.scorecard {arguments.run} --seed {arguments.seed}",
+        "robot": origin["evaluation"]["robot"],
+        "transporter": origin["evaluation"]["transporter"],
+        "run": origin["run"],
+        **machine(),
+        "evaluations": {name: _short(each) for name, each in metrics.items()},
+    }
+    results.write(arguments.run, "scorecard", report, page(report))
+    say(page(report))
+
+
+def _short(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the single numbers and intervals of an evaluation; the rest stands in its own folder."""
+    return {
+        name: value
+        for name, value in metrics.items()
+        if value is None or isinstance(value, int | float | str) or name.endswith("_interval")
+    }
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Evaluate a run by every protocol; write ``scorecard.json`` and ``README.md`` into its folder."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.scorecard", description=__doc__)
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a trained run")
+    parser.add_argument("--seed", type=int, default=90210)
+    arguments = parser.parse_args(argv)
+    return results.exit_code("scorecard", partial(_measure, arguments))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""The loggers of TorchRL by the name of the setting ``logger``."""
+
+from __future__ import annotations
+
+import os
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from torchrl_atr.training.config_checks import ConfigError
+
+if TYPE_CHECKING:
+    from torchrl.record.loggers import Logger
+
+
+def check_logger(name: str) -> None:
+    """Check that the packages of a logger are installed.
+
+    Raises:
+        ConfigError: if not; names the package.
+    """
+    if name in ("wandb", "mlflow") and find_spec(name) is None:
+        raise ConfigError(f"logger={name!r} needs the package {name}: pip install {name}; or take another logger")
+
+
+def make_logger(name: str, run: Path, title: str, resume_from: int | None = None) -> Logger | None:
+    """Return a logger of TorchRL that writes to a run folder, or to the server that its own variables name.
+
+    Args:
+        name: ``tensorboard``, ``wandb``, ``mlflow``, or ``csv``, which is None: ``progress.csv`` is written anyway.
+            TorchRL's ``CSVLogger`` has a file without a header for each metric and repeats the steps that a resumed
+            run takes again.
+        run: the run folder.
+        title: of the experiment.
+        resume_from: frames of the checkpoint that the run goes on from; TensorBoard drops what it has of later ones,
+            W&B and MLflow begin another run of the same name.
+    """
+    if name == "csv":
+        return None
+    if name == "mlflow":
+        from torchrl.record.loggers import MLFlowLogger
+
+        # get_logger names a folder, which MLflow 3 no longer takes
+        return MLFlowLogger(title, os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{run.resolve() / 'mlflow.db'}")
+    from torchrl.record.loggers import get_logger
+
+    if name == "wandb":
+        project = os.environ.get("WANDB_PROJECT", "torchrl_atr")
+        return get_logger(name, str(run), title, wandb_kwargs={"project": project, "group": run.name})
+    logger = get_logger(name, str(run), name)
+    if resume_from is not None:  # SummaryWriter's purge_step, which TorchRL's logger does not pass on
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+
+        for content in ({"file_version": "brain.Event:2"}, {"session_log": SessionLog(status=SessionLog.START)}):
+            logger.experiment.file_writer.add_event(Event(step=resume_from + 1, **content))
+    return logger
