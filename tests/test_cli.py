@@ -91,13 +91,16 @@ def test_endurance_beside_tracking(tmp_path, capsys):
     assert not (run / "metrics.json").exists()
     assert (metrics["protocol"], metrics["n"], metrics["push_seconds"]) == ("endurance", 3, 3.0)
     assert "privileged.intrinsic" not in metrics["policy_reads"]
+    assert metrics["evaluation"]["sensors"] == "realistic"
     still = ["--max-speed", "0", "--max-yaw-rate", "0", "--no-pushes", "--act-source", "privileged"]
+    still += ["--sensors", "ideal"]
     assert main([*asked, *still, "--checkpoint", "last", "--output", str(tmp_path / "still")]) == 0
     metrics = json.loads((tmp_path / "still" / "metrics.json").read_text())
     assert metrics["commands"] == {"low": [0.0, 0.0], "high": [0.0, 0.0]}
     assert metrics["push_seconds"] is None
     assert "privileged.intrinsic" in metrics["policy_reads"]
     assert metrics["evaluation"]["act_source"] == "privileged"
+    assert metrics["evaluation"]["sensors"] == "ideal"
     assert main([*asked, "--transporter", "two_board"]) == 2
     assert "give another folder with --output" in capsys.readouterr().err
 

@@ -42,3 +42,4 @@ def test_few_robots_among_many_have_an_interval():
     low, high = bootstrap(sums, counts)
     assert 1.0 <= low < 2.0 < high <= 3.0
     assert np.isnan(bootstrap(np.zeros(5), np.zeros(5))).all()
+    assert bootstrap(np.zeros((0, 2, 5)), np.zeros((0, 2, 5)))[0].shape == (0, 2)

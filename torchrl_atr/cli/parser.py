@@ -106,7 +106,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
         "--max-speed", type=_number(float, 0, 100), help="m/s; default: 2, or the task's if less; of paper: 15"
     )
     parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), help="rad/s; default: 1; of paper: 2")
-    parser.add_argument("--sensors", help="a set of sensor errors, ideal or realistic; default: the run's")
+    parser.add_argument("--sensors", metavar="NAME", help="ideal, realistic or one of your own; default: the run's")
     source_text = (
         "estimated: what a robot has; privileged: the truth, to tell errors of estimates from those of control"
     )

@@ -73,14 +73,13 @@ def _causes(axis: Axes, metrics: Mapping[str, Any]) -> None:
     names, shares, intervals = zip(*reversed(bars))
     spread = np.abs(np.transpose(intervals) - np.array(shares))
     axis.barh(names, shares, xerr=spread, color=_SPEED, alpha=0.8, height=0.6, error_kw={"ecolor": GREY, "capsize": 2})
-    lines = []
+    lines = ["share of robots"]
     for name, after in metrics["falls_after"].items():
         if after["expected"] is not None:
             what = {"push": "a push", "command": "a change of command"}[name]
-            lines.append(
-                f"{after['share']:.0%} within {after['within']:g} s of {what} ({after['expected']:.0%} of the time)"
-            )
-    axis.text(0.98, 0.02, "\n".join(lines), ha="right", va="bottom", fontsize=7, color=GREY, transform=axis.transAxes)
+            share, chance = (f"{after[name]:.0%}" for name in ("share", "expected"))
+            lines.append(f"{share} of the falls within {after['within']:g} s of {what}, {chance} of the time")
+    axis.set_xlabel("\n".join(lines))
 
 
 def _intrinsics(axis: Axes, compared: Mapping[str, Any]) -> None:

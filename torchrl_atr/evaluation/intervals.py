@@ -64,7 +64,7 @@ def bootstrap(sums: Array, counts: Array, seed: int = 0) -> tuple[Array, Array]:
     draws = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES).astype(np.float64)
     total, count = sums @ draws.T, counts @ draws.T
     means = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
-    known = ((counts > 0).sum(-1) > 1)[..., None]  # one robot says nothing about others
-    ends = np.nanquantile(np.where(known, means, 0.0), [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0], axis=-1)
-    low, high = np.where(known[..., 0], ends, np.nan)
-    return low, high
+    known = (counts > 0).sum(-1) > 1  # one robot says nothing about others
+    filled = np.where(known[..., None], means, 0.0)
+    low, high = (np.nanquantile(filled, (1.0 + sign * LEVEL) / 2.0, axis=-1) for sign in (-1, 1))
+    return np.where(known, low, np.nan), np.where(known, high, np.nan)

@@ -56,12 +56,12 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
             run's bounds where those are wider.
 
     Raises:
-        ConfigError: for a robot or a transporter that the task does not have.
+        ConfigError: for a robot, a transporter or sensors that the task does not have.
     """
     import_modules(config.imports)  # a config that was sent to another process was checked in the first alone
     of_the_task = inspect.signature(TASKS.get(config.task.name)).parameters
     task = {name: overrides.pop(name) for name in list(overrides) if name in of_the_task}
-    for part in PARTS:
+    for part in (*PARTS, "sensors"):
         if part in overrides:
             raise ConfigError(f"{part}={overrides[part]!r}: the task {config.task.name!r} has no {part}; leave it out")
     trained = config.grid
