@@ -134,7 +134,7 @@ def test_a_named_logger_gets_what_progress_csv_gets_and_is_closed(tmp_path, monk
     monkeypatch.setattr("torchrl.record.loggers.get_logger", make)
     monkeypatch.setattr("torchrl.record.loggers.MLFlowLogger", make)
     monkeypatch.setattr("torchrl_atr.training.loggers.find_spec", lambda package: True)
-    Trainer(make_config({**SMALL, "logger": name}), tmp_path / "run", **CARTS).train()
+    Trainer(make_config({**SMALL, "logging.logger": name}), tmp_path / "run", **CARTS).train()
     with (tmp_path / "run" / "progress.csv").open() as file:
         frames = [int(float(row["frames"])) for row in csv.DictReader(file)]
     assert len(made) == (name != "csv")
@@ -234,7 +234,7 @@ def test_a_configuration_of_another_kind_is_refused(tmp_path, config):
     [
         (
             "dead_reckoned_velocity",
-            "estimator.dead_reckoning=true reads 'dead_reckoned_velocity', which the env does not have; set it to false",
+            "estimator.dead_reckoning=true reads 'dead_reckoned_velocity', which the env does not have; set it to f",
         ),
         (("privileged", "outlook"), r"ppo.tracking_forecast=true reads \('privileged', 'outlook'\), which the env"),
         (("privileged", "extrinsic"), "do not fit the task 'riding_less' .*give make_networks= too"),
@@ -288,7 +288,7 @@ def scheduled_cart(**arguments):
         ({"callbacks": [Misnamed()]}, {}, "in_keys='reward': give a list of keys .of the callback 'Misnamed'"),
         ({"state": "runs/other"}, {}, r"state='runs/other'; give what load_checkpoint\(run\) returns"),
         ({"logger": "tensorboard"}, {}, "logger='tensorboard' lacks log_metrics; give one of torchrl.record"),
-        ({}, {"logger": "wandb"}, "logger='wandb' needs the package wandb: pip install wandb"),
+        ({}, {"logging.logger": "wandb"}, "logger='wandb' needs the package wandb: pip install wandb"),
         ({"callbacks": [print]}, {}, "print> is not a Callback object"),
         ({"callbacks": Recorder()}, {}, "give a list of Callback"),
         ({"callbacks": [Recorder(), Recorder()]}, {}, "two callbacks are called 'Recorder'; give one another `name`"),
