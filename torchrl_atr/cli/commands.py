@@ -88,7 +88,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from functools import partial
 
     from torchrl_atr._threads import TorchThreads
-    from torchrl_atr.evaluation import evaluate_tracking, figures, tracking_metrics, write_report
+    from torchrl_atr.evaluation import evaluate_tracking, run_figures, tracking_metrics, write_report
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
     output = _report_folder(arguments)
@@ -125,10 +125,10 @@ def evaluate(arguments: argparse.Namespace) -> None:
         with whole(output) as folder:
             write_report(result, metrics, folder)
             if (arguments.run / "progress.csv").is_file():
-                figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
+                run_figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
             if state["curriculum"] is not None:
                 weights = state["curriculum"]["weights"]
-                figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
+                run_figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
     say("\n".join([*headlines(metrics), *estimator_lines(metrics["estimator_errors"]), f"report in {output}"]))
 
 

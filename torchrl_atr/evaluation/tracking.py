@@ -20,6 +20,7 @@ from torchrl.envs.utils import step_mdp
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import achieved_speeds, command_owner, deterministic, extrinsic_components
+from torchrl_atr.evaluation.envelope import Envelope, envelope_of
 from torchrl_atr.evaluation.estimators import EstimatorErrors, EstimatorSums
 from torchrl_atr.modules.keys import NetworkKeys
 
@@ -55,6 +56,7 @@ class TrackingResult:
         settle: seconds at its start that the settled figures leave out.
         policy_reads: the policy's ``in_keys``: evidence that nothing privileged was among them.
         estimators: errors of the policy's estimates, if it writes any.
+        envelope: which commands can be followed at all, if that is known of the task.
     """
 
     speed_commands: Array
@@ -70,6 +72,7 @@ class TrackingResult:
     settle: float
     policy_reads: tuple[str, ...] = ()
     estimators: EstimatorErrors | None = None
+    envelope: Envelope | None = None
 
     @property
     def survived(self) -> NDArray[np.bool_]:
@@ -184,6 +187,7 @@ def evaluate_tracking(
         settle=settled * dt,
         policy_reads=tuple(_name(key) for key in policy.in_keys),
         estimators=EstimatorErrors.join([r.sums.result() for r in outcomes], shape),
+        envelope=envelope_of(outcomes[0].env),
     )
 
 
