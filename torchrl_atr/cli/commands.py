@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import shlex
 import sys
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from torchrl_atr.listings import LISTINGS
 
 if TYPE_CHECKING:
     from torchrl_atr.envs.transforms import CommandGrid
+    from torchrl_atr.evaluation import TrackingResult
     from torchrl_atr.training import TrainConfig, Trainer
 
 
@@ -96,6 +98,8 @@ def evaluate(arguments: argparse.Namespace) -> None:
     imports = arguments.imports or ()
     config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), imports, num_envs=1, **other)
     env.close()
+    if arguments.command_range != "apply":
+        networks.command_range = None
     grid = _commands(arguments, config.make_task().command.grid)
     with folder_for(output):
         with StepCounter("evaluating") as counter, TorchThreads(announce=counter.note) as threads:
@@ -120,6 +124,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
             "seed": arguments.seed,
             "randomization": arguments.randomization,
             "checkpoint": arguments.checkpoint,
+            "command_range": networks.command_range and dataclasses.asdict(networks.command_range),
         }
         metrics["run"] = state["provenance"]
         with whole(output) as folder:
@@ -129,7 +134,20 @@ def evaluate(arguments: argparse.Namespace) -> None:
             if state["curriculum"] is not None:
                 weights = state["curriculum"]["weights"]
                 run_figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
-    say("\n".join([*headlines(metrics), *estimator_lines(metrics["estimator_errors"]), f"report in {output}"]))
+    lines = [*headlines(metrics), *estimator_lines(metrics["estimator_errors"]), f"report in {output}"]
+    say("\n".join(lines if arguments.command_range != "record" else [*lines, _record_range(result, arguments.run)]))
+
+
+def _record_range(result: TrackingResult, run: Path) -> str:
+    """Write the mastered range of commands into the run folder, and say so; one that is there goes if there is none."""
+    from torchrl_atr.evaluation import mastered_range
+    from torchrl_atr.modules import COMMAND_RANGE
+
+    limits = mastered_range(result)
+    if limits is None:
+        (run / COMMAND_RANGE).unlink(missing_ok=True)
+        return "no command is mastered: no range of commands to clip to"
+    return f"wrote {limits.save(run)}: from now on commands are clipped to it"
 
 
 def _commands(arguments: argparse.Namespace, grid: CommandGrid | None) -> tuple[Any, Any]:
@@ -161,6 +179,10 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
 
     output = arguments.output or arguments.run
     for name, value in _other_model(arguments).items():
+        if arguments.command_range == "record":
+            raise ConfigError(
+                f"--command-range record: it is the run's, not that of another {name}; leave out --{name}"
+            )
         if output.resolve() == arguments.run.resolve():
             raise ConfigError(
                 f"--{name} {value}: the report in {arguments.run} is of the {name} that it was trained on; give "

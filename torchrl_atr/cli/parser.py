@@ -154,6 +154,8 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), default=0.25, help="rad/s; likewise")
     parser.add_argument("--robots-per-command", type=_number(int, 1, 100_000), default=8)
+    text = "clip commands to the run's command_range.json, if there is one; or not; or not, and write it anew"
+    parser.add_argument("--command-range", choices=("apply", "ignore", "record"), default="apply", help=text)
 
 
 def _add_play(parser: argparse.ArgumentParser) -> None:

@@ -3,7 +3,9 @@
 Figures and videos import matplotlib, mediapy and OpenGL only when they are made.
 """
 
+from torchrl_atr.evaluation.envelope import Envelope, envelope_of
 from torchrl_atr.evaluation.estimators import EstimatorErrors
+from torchrl_atr.evaluation.mastery import mastered_range
 from torchrl_atr.evaluation.metrics import command_area, do_nothing, tracking_metrics
 from torchrl_atr.evaluation.replay import ReplayedStep, replay
 from torchrl_atr.evaluation.report import load_tracking, save_tracking, write_report
@@ -13,14 +15,17 @@ from torchrl_atr.evaluation.viewer import play_viewer
 
 __all__ = [
     "DEFAULT_RIDE",
+    "Envelope",
     "EstimatorErrors",
     "ReplayedStep",
     "TrackingResult",
     "command_area",
     "command_grid",
     "do_nothing",
+    "envelope_of",
     "evaluate_tracking",
     "load_tracking",
+    "mastered_range",
     "play_viewer",
     "record_video",
     "replay",

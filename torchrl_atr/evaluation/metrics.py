@@ -99,7 +99,7 @@ def _figures(result: TrackingResult, epsilons: Sequence[float]) -> dict[str, Any
         "yaw_slope": slope(steering),
         "yaw_slope_by_speed": {f"{v:g}": slope(steering & _only(i, up.shape)) for i, v in rows},
         "commands_mastered": float(mastered.mean()),
-        "commands_mastered_of_envelope": None if result.envelope is None else _mean(mastered[_followed(result)]),
+        "commands_mastered_of_envelope": _share_of_envelope(mastered, result),
         "command_area": command_area(result, epsilons),
     }
 
@@ -130,6 +130,11 @@ def envelope_curve(result: TrackingResult, epsilons: Sequence[float] = EPSILONS)
         return None
     error = result.envelope.yaw_error(result.speed_commands, result.yaw_commands)
     return _area_curve(error, np.ones(error.shape, dtype=bool), epsilons)
+
+
+def _share_of_envelope(chosen: NDArray[np.bool_], result: TrackingResult) -> float | None:
+    """Share of the commands within the envelope that are chosen."""
+    return None if result.envelope is None else _mean(chosen[_followed(result)].astype(np.float64))
 
 
 def _followed(result: TrackingResult) -> NDArray[np.bool_]:
