@@ -255,10 +255,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         for transporter in DESIGNS:
             for contacts in MODELS:
                 found = creep(robot, transporter, contacts, **trial)
-                described = describe(contacts)
-                row = {"robot": robot, "transporter": transporter, "contacts": described, "mm_per_second": found}
-                rows.append(row)
-                say(f"{robot}, {transporter}, {_name(described)}: {', '.join(map(_figure, found.values()))}")
+                model = describe(contacts)
+                rows.append({"robot": robot, "transporter": transporter, "contacts": model, "mm_per_second": found})
+                say(f"{robot}, {transporter}, {_name(model)}: {', '.join(map(_figure, found.values()))}")
     cost = {name: costs(MODELS, noise, arguments.robots, arguments.rounds) for name, noise in NOISE.items()}
     report = {
         "command": "python -m benchmarks.contact_creep"

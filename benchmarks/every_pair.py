@@ -146,7 +146,7 @@ def summarise(output: Path) -> None:
     Args:
         output: holds their folders.
     """
-    from torchrl_atr.evaluation import figures  # imports matplotlib
+    from torchrl_atr.evaluation import run_figures  # imports matplotlib
 
     folders = {pair: output / pair.replace(":", "-") for pair in PAIRS}
     done = {pair: folder for pair, folder in folders.items() if (folder / COMPARISON).is_file()}
@@ -154,7 +154,7 @@ def summarise(output: Path) -> None:
     for pair, folder in done.items():
         robot, transporter = pair.split(":")
         curves.setdefault(robot, {})[transporter] = folder / "progress.csv"
-    figures.plot_runs(curves, output / "learning_curves.png")
+    run_figures.plot_runs(curves, output / "learning_curves.png")
     records = {pair: json.loads((folder / COMPARISON).read_text(encoding="utf-8")) for pair, folder in done.items()}
     with atomic(output / "README.md") as file:
         file.write_text(table(records), encoding="utf-8")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import mujoco
@@ -9,7 +10,8 @@ import pytest
 
 from torchrl_atr import evaluation
 from torchrl_atr.cli import main
-from torchrl_atr.training import read_config
+from torchrl_atr.modules import ClippedPolicy, CommandRange
+from torchrl_atr.training import load_run, read_config
 
 TINY = ["--num-envs", "2", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
 
@@ -125,6 +127,29 @@ def test_a_policy_rides_another_transporter_by_name(tmp_path, capsys, monkeypatc
     for command in (["evaluate", str(run), "--output", str(report)], ["play", str(run)]):
         assert main([*command, "--transporter", "sled"]) == 2
         assert "unknown transporter 'sled'; known: single_board, two_board" in capsys.readouterr().err
+
+
+def test_commands_are_clipped_to_the_range_that_an_evaluation_recorded(tmp_path, capsys, monkeypatch):
+    run, ranges = tmp_path / "run", [CommandRange(0.5, 0.2, 0.1), None]
+    assert main(["train", *TINY, "--total-frames", "8", "--output", str(run)]) == 0
+    monkeypatch.setattr(evaluation, "mastered_range", lambda result: ranges.pop(0))
+    few = ["evaluate", str(run), "--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
+
+    def applied() -> dict[str, float] | None:
+        return json.loads((run / "metrics.json").read_text())["evaluation"]["command_range"]
+
+    assert main([*few, "--command-range", "record"]) == 0
+    assert "from now on commands are clipped to it" in capsys.readouterr().out
+    assert applied() is None
+    assert isinstance(load_run(run)[2].deployed_policy(), ClippedPolicy)
+    assert main(few) == 0
+    assert applied() == dataclasses.asdict(CommandRange(0.5, 0.2, 0.1))
+    assert main([*few, "--command-range", "record"]) == 0
+    assert "no command is mastered" in capsys.readouterr().out
+    assert not (run / "command_range.json").exists()
+    other = ["--transporter", "two_board", "--output", str(tmp_path / "report")]
+    assert main([*few, "--command-range", "record", *other]) == 2
+    assert "leave out --transporter" in capsys.readouterr().err
 
 
 def test_a_run_is_not_overwritten_and_a_resumed_one_keeps_its_settings(tmp_path, capsys):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 
-from torchrl_atr.evaluation import figures
+from torchrl_atr.evaluation import figures, run_figures
 
 
 def _colours(path):
@@ -37,8 +37,8 @@ def test_cells_are_means_over_the_chosen_robots():
 def test_learning_curves_plot_what_there_is(tmp_path):
     csv = tmp_path / "progress.csv"
     csv.write_text("frames,episode_length,speed_error,unknown\n1000,10,1.0,x\n2000,20,,x\n3000,30,0.5,x\n")
-    assert _colours(figures.plot_learning_curves(csv, tmp_path / "curves.png")) > 3
-    columns = figures._read_columns(csv)
+    assert _colours(run_figures.plot_learning_curves(csv, tmp_path / "curves.png")) > 3
+    columns = run_figures._read_columns(csv)
     assert columns["episode_length"].tolist() == [10, 20, 30]
     assert np.isnan(columns["speed_error"][1])
 
@@ -48,21 +48,21 @@ def test_learning_curves_of_nothing_are_an_error(text, tmp_path):
     csv = tmp_path / "progress.csv"
     csv.write_text(text)
     with pytest.raises(ValueError, match=r"progress\.csv has no rows, or none of the columns episode_length"):
-        figures.plot_learning_curves(csv, tmp_path / "curves.png")
+        run_figures.plot_learning_curves(csv, tmp_path / "curves.png")
 
 
 def test_curriculum_weights(tmp_path):
     weights = np.zeros((31, 21))
     weights[10:20, 8:12] = np.linspace(0.1, 1, 10)[:, None]
-    assert _colours(figures.plot_curriculum(weights, (3.0, 2.0), tmp_path / "grid.png")) > 5
+    assert _colours(run_figures.plot_curriculum(weights, (3.0, 2.0), tmp_path / "grid.png")) > 5
 
 
 def test_every_panel_of_the_learning_curves_has_its_axis(tmp_path, monkeypatch):
     csv = tmp_path / "progress.csv"
     csv.write_text("frames,episode_length,speed_error,std,learning_rate\n1,1,1,0.04,1e-5\n2,2,2,0.04,2e-5\n")
     drawn = []
-    monkeypatch.setattr(figures, "save", lambda figure, path: drawn.append(figure))
-    figures.plot_learning_curves(csv, tmp_path / "curves.png")
+    monkeypatch.setattr(run_figures, "save", lambda figure, path: drawn.append(figure))
+    run_figures.plot_learning_curves(csv, tmp_path / "curves.png")
     figure = drawn[0]
     figure.canvas.draw()
     assert len(figure.axes) == 4
@@ -139,11 +139,11 @@ def test_runs_are_compared_group_by_group(tmp_path):
     csv = tmp_path / "progress.csv"
     csv.write_text("minutes,episode_length,episode_reward\n0.1,,\n0.2,20,1.0\n0.3,30,2.0\n")
     lines = {"single_board": csv, "two_board": csv}
-    assert _colours(figures.plot_runs({"a1": lines, "go1": lines}, tmp_path / "runs.png")) > 3
+    assert _colours(run_figures.plot_runs({"a1": lines, "go1": lines}, tmp_path / "runs.png")) > 3
 
 
 def test_runs_without_rows_are_named(tmp_path):
     csv = tmp_path / "progress.csv"
     csv.write_text("minutes,episode_length,episode_reward\n")
     with pytest.raises(ValueError, match="no rows in the progress of a1, two_board"):
-        figures.plot_runs({"a1": {"two_board": csv}}, tmp_path / "runs.png")
+        run_figures.plot_runs({"a1": {"two_board": csv}}, tmp_path / "runs.png")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import shlex
 import sys
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from torchrl_atr._files import atomic, folder_for, say, whole
 from torchrl_atr._nested import merged
 from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.printing import StepCounter, replay_head, replay_line
-from torchrl_atr.cli.protocols import PROTOCOLS, fill_options
+from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
 from torchrl_atr.listings import LISTINGS, settings_page
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from functools import partial
 
     from torchrl_atr._threads import TorchThreads
-    from torchrl_atr.evaluation import figures
+    from torchrl_atr.evaluation import run_figures
     from torchrl_atr.training import DEPLOYED, load_run, make_env
 
     fill_options(arguments)
@@ -97,6 +98,8 @@ def evaluate(arguments: argparse.Namespace) -> None:
     imports = arguments.imports or ()
     config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), imports, num_envs=1, **other)
     env.close()
+    if arguments.command_range != "apply":
+        networks.command_range = None
     with folder_for(output):
         with StepCounter("evaluating") as counter, TorchThreads(announce=counter.note) as threads:
 
@@ -120,16 +123,31 @@ def evaluate(arguments: argparse.Namespace) -> None:
             "sensors": arguments.sensors or config.task.sensors,
             "checkpoint": arguments.checkpoint,
             "act_source": arguments.act_source,
+            "command_range": networks.command_range and dataclasses.asdict(networks.command_range),
         }
         metrics["run"] = state["provenance"]
         with whole(output) as folder:
             measured.write(folder)
             if (arguments.run / "progress.csv").is_file():
-                figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
+                run_figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
             if state["curriculum"] is not None:
                 weights = state["curriculum"]["weights"]
-                figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
-    say("\n".join([*measured.lines, f"report in {output}"]))
+                run_figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
+    lines = [*measured.lines, f"report in {output}"]
+    say("\n".join(lines if arguments.command_range != "record" else [*lines, _record_range(measured, arguments.run)]))
+
+
+def _record_range(measured: Measured, run: Path) -> str:
+    """Write the mastered range of commands into the run folder, and say so; one that is there goes if there is none."""
+    from torchrl_atr.evaluation import TrackingResult, mastered_range
+    from torchrl_atr.modules import COMMAND_RANGE
+
+    assert isinstance(measured.result, TrackingResult)  # fill_options refuses other protocols
+    limits = mastered_range(measured.result)
+    if limits is None:
+        (run / COMMAND_RANGE).unlink(missing_ok=True)
+        return "no command is mastered: no range of commands to clip to"
+    return f"wrote {limits.save(run)}: from now on commands are clipped to it"
 
 
 def _checkpoint(arguments: argparse.Namespace) -> str | None:
@@ -151,6 +169,10 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     own = arguments.run if arguments.protocol == "tracking" else arguments.run / arguments.protocol
     output = arguments.output or own
     for name, value in _other_model(arguments).items():
+        if arguments.command_range == "record":
+            raise ConfigError(
+                f"--command-range record: it is the run's, not that of another {name}; leave out --{name}"
+            )
         if output.resolve() in (arguments.run.resolve(), own.resolve()):
             raise ConfigError(
                 f"--{name} {value}: the report in {output} is of the {name} that it was trained on; give "

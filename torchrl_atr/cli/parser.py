@@ -111,6 +111,8 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
         "estimated: what a robot has; privileged: the truth, to tell errors of estimates from those of control"
     )
     parser.add_argument("--act-source", choices=("estimated", "privileged"), default="estimated", help=source_text)
+    text = "clip commands to the run's command_range.json, if there is one; or not; or not, and write it anew"
+    parser.add_argument("--command-range", choices=("apply", "ignore", "record"), default="apply", help=text)
     grid = parser.add_argument_group("--protocol tracking and paper")
     step_text = "m/s; divides the range; default: 1, or 0.5; of paper: 0.1"
     grid.add_argument("--speed-step", type=_number(float, 0.001, 100), help=step_text)

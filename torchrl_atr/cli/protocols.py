@@ -12,6 +12,7 @@ from torchrl_atr.cli.printing import endurance_lines, estimator_lines, headlines
 
 if TYPE_CHECKING:
     from torchrl_atr.envs.transforms import CommandGrid
+    from torchrl_atr.evaluation import EnduranceResult, TrackingResult
     from torchrl_atr.modules import RidingNetworks
     from torchrl_atr.training import TrainConfig
 
@@ -19,8 +20,9 @@ Progress = Callable[[int, int], None]
 
 
 class Measured(NamedTuple):
-    """The outcome of a protocol: the metrics, what writes the report into a folder, and the lines to print."""
+    """The outcome of a protocol: result and metrics, what writes the report into a folder, and the lines to print."""
 
+    result: TrackingResult | EnduranceResult
     metrics: dict[str, Any]
     write: Callable[[Path], Any]
     lines: list[str]
@@ -48,6 +50,8 @@ def fill_options(arguments: argparse.Namespace) -> None:
     from torchrl_atr.cli.parser import option
     from torchrl_atr.training import ConfigError
 
+    if arguments.command_range == "record" and arguments.protocol == "endurance":
+        raise ConfigError("--command-range record: commands are found mastered one by one; take --protocol tracking")
     own = PROTOCOLS[arguments.protocol].options
     for protocol, other in PROTOCOLS.items():
         given = [option(name) for name in other.options if name not in own and getattr(arguments, name) is not None]
@@ -79,7 +83,7 @@ def tracking(
     )
     metrics = tracking_metrics(result)
     lines = [*headlines(metrics), *estimator_lines(metrics["estimator_errors"])]
-    return Measured(metrics, partial(write_report, result, metrics), lines)
+    return Measured(result, metrics, partial(write_report, result, metrics), lines)
 
 
 def endurance(
@@ -108,7 +112,7 @@ def endurance(
         progress=progress,
     )
     metrics = endurance_metrics(result)
-    return Measured(metrics, partial(write_endurance, result, metrics), list(endurance_lines(metrics)))
+    return Measured(result, metrics, partial(write_endurance, result, metrics), list(endurance_lines(metrics)))
 
 
 def _grid(arguments: argparse.Namespace, grid: CommandGrid | None) -> tuple[Any, Any]:

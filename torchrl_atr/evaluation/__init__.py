@@ -6,7 +6,9 @@ Figures and videos import matplotlib, mediapy and OpenGL only when they are made
 from torchrl_atr.evaluation.endurance import EnduranceResult, evaluate_endurance
 from torchrl_atr.evaluation.endurance_metrics import endurance_metrics
 from torchrl_atr.evaluation.endurance_report import load_endurance, save_endurance, write_endurance
+from torchrl_atr.evaluation.envelope import Envelope, envelope_of
 from torchrl_atr.evaluation.estimators import EstimatorErrors
+from torchrl_atr.evaluation.mastery import mastered_range
 from torchrl_atr.evaluation.metrics import command_area, do_nothing, tracking_metrics
 from torchrl_atr.evaluation.replay import ReplayedStep, replay
 from torchrl_atr.evaluation.report import load_tracking, save_tracking, write_report
@@ -17,6 +19,7 @@ from torchrl_atr.evaluation.viewer import play_viewer
 __all__ = [
     "DEFAULT_RIDE",
     "EnduranceResult",
+    "Envelope",
     "EstimatorErrors",
     "ReplayedStep",
     "TrackingResult",
@@ -24,10 +27,12 @@ __all__ = [
     "command_grid",
     "do_nothing",
     "endurance_metrics",
+    "envelope_of",
     "evaluate_endurance",
     "evaluate_tracking",
     "load_endurance",
     "load_tracking",
+    "mastered_range",
     "play_viewer",
     "record_video",
     "replay",

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_atr.evaluation.envelope import SETTLED_YAW_ERROR
 from torchrl_atr.evaluation.tracking import TrackingResult
 
 Array = NDArray[np.float64]
@@ -17,7 +18,7 @@ EPSILONS: tuple[float, ...] = tuple(round(0.05 * i, 2) for i in range(21))
 """Error thresholds of the command area, m/s and rad/s."""
 STRAIGHT_SPEED, STEERING_YAW = 2.0, 1.0
 """Largest |c_v| of ``settled_speed_error_straight`` (c_ω = 0) and largest |c_ω| of ``yaw_slope``."""
-MASTERED = (0.5, 0.3)
+MASTERED = (0.5, SETTLED_YAW_ERROR)
 """Largest settled errors at which a command counts as ridden, m/s and rad/s."""
 _TOLERANCE = 1e-6
 
@@ -30,9 +31,10 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
     the same over |c_v| <= 2 at c_ω = 0; ``rms_speed_error`` and ``rms_yaw_error``, means over all trials, up
     to the fall; ``yaw_slope``, the regression slope (with intercept) of settled ω on c_ω over survivors with
     |c_ω| <= 1, and ``yaw_slope_by_speed``; ``commands_mastered``, the share of the commands at which most robots
-    stay up and settle within :data:`MASTERED`; ``command_area`` (:func:`command_area`); ``do_nothing``, the same
-    figures for a board that never moves; ``estimator_errors`` (Table V). What has no value (no survivors, a
-    single yaw command) is None.
+    stay up and settle within :data:`MASTERED`; ``commands_mastered_of_envelope``, the same of those commands that can
+    be followed at all; ``command_area`` (:func:`command_area`); ``do_nothing``, the same figures for a board that never
+    moves; ``envelope`` (:func:`envelope_table`); ``estimator_errors`` (Table V). What has no value (no survivors, a
+    single yaw command, a task without an envelope) is None.
 
     Args:
         result: of :func:`~torchrl_atr.evaluation.evaluate_tracking`.
@@ -50,6 +52,7 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
         "settle": result.settle,
         **_figures(result, epsilons),
         "do_nothing": _figures(do_nothing(result), epsilons),
+        "envelope": envelope_table(result),
         "estimator_errors": estimator_table(result),
         "policy_reads": list(result.policy_reads),
     }
@@ -86,7 +89,7 @@ def _figures(result: TrackingResult, epsilons: Sequence[float]) -> dict[str, Any
         return regression_slope(yaw[chosen], result.settled_yaw_rate[chosen])
 
     rows = enumerate(result.speed_commands)
-    near = (result.settled_speed_error <= MASTERED[0]) & (result.settled_yaw_error <= MASTERED[1])
+    mastered = mastered_commands(result)
     return {
         "survival": float(up.mean()),
         "settled_speed_error": _mean(result.settled_speed_error[up]),
@@ -96,9 +99,48 @@ def _figures(result: TrackingResult, epsilons: Sequence[float]) -> dict[str, Any
         "rms_yaw_error": _mean(result.rms_yaw_error),
         "yaw_slope": slope(steering),
         "yaw_slope_by_speed": {f"{v:g}": slope(steering & _only(i, up.shape)) for i, v in rows},
-        "commands_mastered": float(((up & near).mean(-1) > 0.5).mean()),
+        "commands_mastered": float(mastered.mean()),
+        "commands_mastered_of_envelope": _share_of_envelope(mastered, result),
         "command_area": command_area(result, epsilons),
     }
+
+
+def mastered_commands(result: TrackingResult) -> NDArray[np.bool_]:
+    """Commands at which most robots stay up and settle within :data:`MASTERED`, (V, W)."""
+    near = (result.settled_speed_error <= MASTERED[0]) & (result.settled_yaw_error <= MASTERED[1])
+    return (result.survived & near).mean(-1) > 0.5
+
+
+def envelope_table(result: TrackingResult) -> dict[str, Any] | None:
+    """What the best policy could do on the evaluated commands; None for a task without an envelope.
+
+    Returns:
+        ``commands``, the share of the commands that it follows within 0.3 rad/s under the task's reward; ``friction``,
+        the share that friction alone allows; and the numbers of :class:`~torchrl_atr.evaluation.envelope.Envelope`.
+    """
+    if result.envelope is None:
+        return None
+    commands = result.speed_commands, result.yaw_commands
+    shares = {"commands": _followed(result), "friction": result.envelope.follows(*commands, False, MASTERED[1])}
+    return {**{name: float(held.mean()) for name, held in shares.items()}, **asdict(result.envelope)}
+
+
+def envelope_curve(result: TrackingResult, epsilons: Sequence[float] = EPSILONS) -> list[float] | None:
+    """Share of the commands that the best policy follows within ε rad/s, by ε; None for a task without an envelope."""
+    if result.envelope is None:
+        return None
+    error = result.envelope.yaw_error(result.speed_commands, result.yaw_commands)
+    return _area_curve(error, np.ones(error.shape, dtype=bool), epsilons)
+
+
+def _share_of_envelope(chosen: NDArray[np.bool_], result: TrackingResult) -> float | None:
+    """Share of the commands within the envelope that are chosen."""
+    return None if result.envelope is None else _mean(chosen[_followed(result)].astype(np.float64))
+
+
+def _followed(result: TrackingResult) -> NDArray[np.bool_]:
+    assert result.envelope is not None
+    return result.envelope.follows(result.speed_commands, result.yaw_commands, error=MASTERED[1])
 
 
 def command_area(result: TrackingResult, epsilons: Sequence[float] = EPSILONS) -> dict[str, Any]:

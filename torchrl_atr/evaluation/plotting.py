@@ -17,11 +17,13 @@ from matplotlib.axis import Axis
 from matplotlib.collections import QuadMesh
 from matplotlib.colors import PowerNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import FixedLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from torchrl_atr._files import atomic
+from torchrl_atr.evaluation.envelope import SETTLED_YAW_ERROR, Envelope
 
 Array = NDArray[np.float64]
 SPEED, YAW = "$c_v$ [m/s]", "$c_\\omega$ [rad/s]"
@@ -35,7 +37,16 @@ STYLE: Any = {
     "hatch.linewidth": 0.6,
 }
 GREY = "0.4"
+# Okabe and Ito's colours, safe for colour-blind eyes
+COLOURS = {"speed": "#0072B2", "yaw": "#D55E00", "combined": "#009E73"}
+DASHES: dict[str, Any] = {"speed": "-", "yaw": (0, (5, 2)), "combined": (0, (1.2, 1.2))}
+SHARES = "cividis"
+"""Colour map of shares and weights."""
 _HATCH: Any = {"facecolor": "0.95", "edgecolor": "0.6", "hatch": "///////", "linewidth": 0.0}
+_OUTLINE = "#E6009A"
+"""Unlike any colour of the maps."""
+_REWARD_LINE: Any = {"linestyles": "-", "linewidths": 1.4}
+_FRICTION_LINE: Any = {"linestyles": ":", "linewidths": 1.4}
 _MOST_LABELS = 15
 """Cells side by side in which a value can be read."""
 _MOST_TICKS = 7
@@ -70,6 +81,27 @@ def heatmap(axis: Axes, x: Array, y: Array, values: Array, colours: str, top: fl
     if max(values.shape) <= _MOST_LABELS:
         _label_cells(axis, mesh, x, y, values)
     return mesh
+
+
+def draw_envelope(axis: Axes, envelope: Envelope) -> None:
+    """Outline what can be followed at all in a panel over commands, under the reward and by friction alone.
+
+    An outline that would lie outside the panel is left out.
+    """
+    speeds, yaw_rates = (np.linspace(*limits, 400) for limits in (axis.get_xlim(), axis.get_ylim()))
+    for reward, style in ((True, _REWARD_LINE), (False, _FRICTION_LINE)):
+        held = envelope.follows(speeds, yaw_rates, reward).astype(float)
+        if not held.all():
+            axis.contour(speeds, yaw_rates, held.T, [0.5], colors=_OUTLINE, zorder=2, **style)
+
+
+def envelope_handles() -> list[Line2D]:
+    """The legend's entries of :func:`draw_envelope`."""
+    labels = {f"within {SETTLED_YAW_ERROR:g} rad/s under the reward": _REWARD_LINE, "by friction": _FRICTION_LINE}
+    return [
+        Line2D([], [], color=_OUTLINE, lw=style["linewidths"], ls=style["linestyles"], label=f"bound: {label}")
+        for label, style in labels.items()
+    ]
 
 
 def colour_bar(figure: Figure, axis: Axes, mesh: QuadMesh, label: str) -> None:

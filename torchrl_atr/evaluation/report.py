@@ -11,10 +11,12 @@ import numpy as np
 
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr.evaluation.access import Component
+from torchrl_atr.evaluation.envelope import Envelope
 from torchrl_atr.evaluation.estimators import EstimatorErrors
 from torchrl_atr.evaluation.tracking import TrackingResult
 
-_ESTIMATORS = "estimators."
+_PARTS = {"estimators": EstimatorErrors, "envelope": Envelope}
+"""Fields of a result that have fields of their own: ``estimators.components`` and the like in the file."""
 
 
 def write_report(result: TrackingResult, metrics: Mapping[str, Any], output_dir: str | Path) -> dict[str, Path]:
@@ -49,11 +51,15 @@ def write_report(result: TrackingResult, metrics: Mapping[str, Any], output_dir:
 
 def save_tracking(result: TrackingResult, path: str | Path) -> Path:
     """Writes all figures of all trials as one ``.npz`` file; :func:`load_tracking` reads it back."""
-    arrays = {f.name: getattr(result, f.name) for f in fields(result) if f.name != "estimators"}
+    arrays = {f.name: getattr(result, f.name) for f in fields(result) if f.name not in _PARTS}
+    for part in _PARTS:
+        if (value := getattr(result, part)) is not None:
+            arrays |= {f"{part}.{f.name}": getattr(value, f.name) for f in fields(value)}
     if result.estimators is not None:
-        own = {f.name: getattr(result.estimators, f.name) for f in fields(result.estimators)}
-        own["components"] = [[name, label, unit or ""] for name, label, unit in result.estimators.components]
-        arrays |= {_ESTIMATORS + name: value for name, value in own.items() if value is not None}
+        arrays["estimators.components"] = [
+            [name, label, unit or ""] for name, label, unit in result.estimators.components
+        ]
+    arrays = {name: value for name, value in arrays.items() if value is not None}
     with atomic(path) as file:
         np.savez_compressed(file, **{name: np.asarray(value) for name, value in arrays.items()})  # type: ignore[arg-type]
     return Path(path)
@@ -68,12 +74,15 @@ def load_tracking(path: str | Path) -> TrackingResult:
     """
     with np.load(path) as file:
         arrays = {name: _plain(file[name]) for name in file.files}
-    own = {name.removeprefix(_ESTIMATORS): arrays.pop(name) for name in list(arrays) if name.startswith(_ESTIMATORS)}
-    missing = [f.name for f in fields(TrackingResult) if f.name != "estimators" and f.name not in arrays]
-    missing += ["components"] if own and "components" not in own else []
+    own: dict[str, dict[str, Any]] = {part: {} for part in _PARTS}
+    for name in [name for name in arrays if name.partition(".")[0] in own]:
+        part, _, field = name.partition(".")
+        own[part][field] = arrays.pop(name)
+    missing = [f.name for f in fields(TrackingResult) if f.name not in _PARTS and f.name not in arrays]
+    missing += ["components"] if own["estimators"] and "components" not in own["estimators"] else []
     if missing:
         raise KeyError(f"{path} lacks {', '.join(missing)}: not a tracking file, or an old one; evaluate again")
-    return TrackingResult(**arrays, estimators=EstimatorErrors(**own) if own else None)
+    return TrackingResult(**arrays, **{part: _PARTS[part](**values) for part, values in own.items() if values})
 
 
 def _plain(array: np.ndarray) -> Any:

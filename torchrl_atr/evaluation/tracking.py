@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import achieved_speeds, extrinsic_components
+from torchrl_atr.evaluation.envelope import Envelope, envelope_of
 from torchrl_atr.evaluation.estimators import EstimatorErrors, EstimatorSums
 from torchrl_atr.evaluation.ride import MakeEnv, RideStep, key_name, ride_in_chunks
 from torchrl_atr.modules.keys import NetworkKeys
@@ -43,6 +44,7 @@ class TrackingResult:
         settle: seconds at its start that the settled figures leave out.
         policy_reads: the policy's ``in_keys``: evidence that nothing privileged was among them.
         estimators: errors of the policy's estimates, if it writes any.
+        envelope: which commands can be followed at all, if that is known of the task.
     """
 
     speed_commands: Array
@@ -58,6 +60,7 @@ class TrackingResult:
     settle: float
     policy_reads: tuple[str, ...] = ()
     estimators: EstimatorErrors | None = None
+    envelope: Envelope | None = None
 
     @property
     def survived(self) -> NDArray[np.bool_]:
@@ -175,6 +178,7 @@ def evaluate_tracking(
         settle=settled * dt,
         policy_reads=tuple(key_name(key) for key in policy.in_keys),
         estimators=EstimatorErrors.join([r.sums.result() for r in recorders], shape),
+        envelope=recorders[0].envelope,
     )
 
 
@@ -182,7 +186,7 @@ class _Recorder:
     """One chunk's commands (n, 2), what was measured (T, n, 2), and who was up (T + 1, n)."""
 
     def __init__(self, env: EnvBase, commands: Tensor, encoder: TensorDictModuleBase | None, keys: NetworkKeys) -> None:
-        self.commands = commands
+        self.commands, self.envelope = commands, envelope_of(env)
         self.sums = EstimatorSums(len(commands), encoder, keys, partial(extrinsic_components, env))
         self._measured: list[Tensor] = []
         self._alive = [torch.ones(len(commands), dtype=torch.bool)]

@@ -8,6 +8,7 @@ from torchrl_atr.modules.act_source import SOURCES, ActSource, AssignActSource, 
 from torchrl_atr.modules.action_noise import CorrelatedGaussian, SynergyNormal, correlate
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.checks import check_estimator
+from torchrl_atr.modules.command_range import COMMAND_RANGE, ClippedPolicy, CommandRange
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.encoder import IntrinsicEncoder
 from torchrl_atr.modules.estimators import (
@@ -28,12 +29,15 @@ from torchrl_atr.modules.placement import OnDevice
 from torchrl_atr.modules.symmetry import SymmetricLinear, symmetric_mlp
 
 __all__ = [
+    "COMMAND_RANGE",
     "SOURCES",
     "ActSource",
     "ActorBackbone",
     "AssignActSource",
     "AsymmetricCritic",
     "CNNGRUEstimator",
+    "ClippedPolicy",
+    "CommandRange",
     "CorrelatedGaussian",
     "EstimatorError",
     "Exploration",

@@ -7,12 +7,13 @@ from itertools import chain
 from typing import Any
 
 from tensordict import NestedKey, TensorDictBase
-from tensordict.nn import TensorDictModule
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
 from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
+from torchrl_atr.modules.command_range import ClippedPolicy, CommandRange
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.estimators import NormalizedEstimator
 from torchrl_atr.modules.exploration import Exploration
@@ -37,6 +38,9 @@ class RidingNetworks(nn.Module):
             its ``side_norms``.
         critic_inputs (sequence of NestedKey): what the critic reads last, one for each of its ``input_norms``.
         keys (NetworkKeys): names of the other entries.
+
+    Attributes:
+        command_range (CommandRange or None): what the deployed policy is told of a command; None, as at first, for all.
 
     Examples:
         >>> from torchrl.data import Composite, Unbounded
@@ -72,6 +76,7 @@ class RidingNetworks(nn.Module):
         self.critic = critic
         self.estimator_inputs, self.critic_inputs = tuple(estimator_inputs), tuple(critic_inputs)
         self.keys = keys or NetworkKeys()
+        self.command_range: CommandRange | None = None
 
     @property
     def encoder_module(self) -> TensorDictModule:
@@ -125,14 +130,17 @@ class RidingNetworks(nn.Module):
         assign = AssignActSource(student_fraction, reference=self.keys.observation, student=self.keys.student)
         return self._actor(source, self.encoder_module, *estimators, assign)
 
-    def deployed_policy(self) -> ProbabilisticActor:
+    def deployed_policy(self) -> TensorDictModuleBase:
         """Return the policy of the real robot: it reads history, observation and ``estimator_inputs``, nothing else.
+
+        With a :attr:`command_range` it follows commands beyond that as their clipped ones.
 
         It shares the networks and their mode: call ``eval()`` on networks that were trained with dropout or batch
         statistics before they are deployed. Those of :func:`torchrl_atr.training.load_run` and
         ``Learner.deployed`` are in eval mode.
         """
-        return self.rollout_policy("estimated")
+        policy = self.rollout_policy("estimated")
+        return policy if self.command_range is None else ClippedPolicy(policy, self.command_range, self.keys)
 
     def update_normalizers(self, tensordict: TensorDictBase) -> None:
         """Merge a batch's observations, extrinsic states and further inputs into the running statistics.

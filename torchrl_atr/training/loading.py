@@ -9,7 +9,7 @@ from typing import Any
 from torchrl.envs import EnvBase
 
 from torchrl_atr.envs.models.identity import PARTS
-from torchrl_atr.modules import EstimatorError
+from torchrl_atr.modules import CommandRange, EstimatorError
 from torchrl_atr.training.assembly import LOADED, make_env
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import TrainConfig
@@ -29,6 +29,8 @@ def load_run(
 ) -> tuple[TrainConfig, Any, Any, dict[str, Any]]:
     """Return config, env, networks as they are deployed, in eval mode, and the whole checkpoint of a run folder.
 
+    If the folder holds a ``command_range.json``, the networks' deployed policy is clipped to that range.
+
     Args:
         run: the folder.
         checkpoint: a file in it, such as ``best.pt``; None for the last one.
@@ -42,6 +44,7 @@ def load_run(
     Raises:
         CheckpointError: if there is no readable checkpoint, it does not fit this code, robot or transporter are not
             those that the run was trained with, or it was trained with parts of the user's own that are not given.
+        InputError: if ``command_range.json`` holds no range.
     """
     run = Path(run)
     if checkpoint is not None and not (run / checkpoint).is_file():
@@ -62,6 +65,7 @@ def load_run(
             f"the estimator {config.estimator.name!r} of {run} does not work here: {error}"
         ) from error
     load_networks(networks, deployed_weights(state["learner"]), run)
+    networks.command_range = CommandRange.load(run)
     return config, env, networks.eval(), state
 
 

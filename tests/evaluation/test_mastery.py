@@ -1,0 +1,40 @@
+"""The mastered range holds what was ridden well, and little else."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from torchrl_atr.evaluation import mastered_range
+from torchrl_atr.modules import CommandRange
+
+COMMANDS = (np.arange(-4.0, 5.0), np.arange(-4, 5) * 0.25)
+
+
+def falls_where(failing):
+    return lambda command: command.where(~failing(command.abs()).unsqueeze(-1), torch.tensor(torch.nan))
+
+
+def test_all_is_mastered(evaluate):
+    assert mastered_range(evaluate(lambda command: command, COMMANDS)) == CommandRange(4.0, 1.0, 4.0)
+
+
+def test_nothing_is_mastered(evaluate):
+    assert mastered_range(evaluate(falls_where(lambda c: c[:, 0] >= 0), COMMANDS)) is None
+
+
+def test_turns_that_are_too_sharp_are_left_out(evaluate):
+    result = evaluate(falls_where(lambda c: c.prod(-1) > 1.5), COMMANDS)
+    assert mastered_range(result, share=1.0) == CommandRange(4.0, 1.0, 1.5)
+
+
+def test_a_box_of_slow_commands(evaluate):
+    result = evaluate(falls_where(lambda c: (c[:, 0] > 2) | (c[:, 1] > 0.5)), COMMANDS)
+    assert mastered_range(result, share=1.0) == CommandRange(2.0, 0.5, 1.0)
+
+
+def test_a_few_commands_in_it_may_fail(evaluate):
+    result = evaluate(falls_where(lambda c: (c[:, 0] == 1) & (c[:, 1] == 0.25)), COMMANDS)  # 4 of 81
+    assert mastered_range(result, share=0.95) == CommandRange(4.0, 1.0, 4.0)
+    # commands of one product go together: without those of 0.25 m/s², straight lines and turns on the spot are left
+    assert mastered_range(result, share=1.0) == CommandRange(4.0, 1.0, 0.0)

@@ -1,0 +1,46 @@
+"""The range of commands that a policy has mastered, from an evaluation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from torchrl_atr.evaluation.metrics import mastered_commands
+from torchrl_atr.evaluation.tracking import TrackingResult
+from torchrl_atr.modules import CommandRange
+
+_TOLERANCE = 1e-9
+
+
+def mastered_range(result: TrackingResult, share: float = 0.95) -> CommandRange | None:
+    """Return the range of commands that holds the most mastered ones, at least ``share`` of those in it being mastered.
+
+    A command is mastered if most robots stay up and settle within 0.5 m/s and 0.3 rad/s. Bounds are taken among the
+    evaluated speeds, yaw rates and their products, so nothing beyond the evaluated commands is ever in the range.
+
+    Args:
+        result: of :func:`~torchrl_atr.evaluation.evaluate_tracking`, of a policy that is not clipped.
+        share: of the evaluated commands in the range.
+
+    Returns:
+        The range, the smallest of several alike; None if no range has that share.
+
+    Example:
+        >>> from torchrl_atr.evaluation import load_tracking
+        >>> mastered_range(load_tracking("run/tracking.npz")).save("run")  # doctest: +SKIP
+    """
+    mastered = mastered_commands(result)
+    speeds, yaw_rates = np.abs(result.speed_commands)[:, None], np.abs(result.yaw_commands)[None]
+    lateral = speeds * yaw_rates
+    best, found = 0, None
+    for max_speed in np.unique(speeds):
+        for max_yaw_rate in np.unique(yaw_rates):
+            inside = (speeds <= max_speed) & (yaw_rates <= max_yaw_rate)
+            order = np.argsort(lateral[inside], kind="stable")
+            sorted_lateral, good = lateral[inside][order], np.cumsum(mastered[inside][order])
+            last = np.append(np.diff(sorted_lateral) > _TOLERANCE, True)  # commands of one product go together
+            fits = last & (good >= share * np.arange(1, len(good) + 1))
+            if fits.any() and good[fits].max() > best:
+                best = int(good[fits].max())
+                bound = sorted_lateral[fits & (good == best)][0]
+                found = CommandRange(float(max_speed), float(max_yaw_rate), float(bound))
+    return found
