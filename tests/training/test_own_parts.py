@@ -310,7 +310,7 @@ def test_a_hook_in_captured_steps_is_refused(monkeypatch, tmp_path):
     from torchrl_atr.training import TrainConfig
 
     monkeypatch.setattr(TrainConfig, "captures_graphs", property(lambda self: True))
-    with pytest.raises(ConfigError, match=r"on_loss of the callback 'Recorder'.* CUDA graphs.* compiled=false"):
+    with pytest.raises(ConfigError, match=r"on_loss of the callback 'Recorder'.* CUDA graphs.*compute.compiled=false"):
         Trainer(make_config(SMALL), tmp_path / "run", **CARTS, callbacks=[Recorder()])
 
 

@@ -57,7 +57,11 @@ def plot_learning_curves(progress_csv: str | Path, path: str | Path, curves: Map
     if not labels or not len(columns[next(iter(labels))]):
         some = ", ".join(list(known)[:3])
         raise InputError(f"{progress_csv} has no rows, or none of the columns {some}, ...; give the log of a run")
-    x = columns["frames"] / 1e6 if "frames" in columns else np.arange(len(next(iter(columns.values()))))
+    x: Array = (
+        columns["frames"] / 1e6
+        if "frames" in columns
+        else np.arange(len(next(iter(columns.values()))), dtype=np.float64)
+    )
     columns_shown = min(3, len(labels))
     rows = -(-len(labels) // columns_shown)
     x_label = "robot steps [million]" if "frames" in columns else "iteration"
