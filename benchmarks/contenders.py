@@ -78,14 +78,14 @@ def transformed(num_envs: int, threads: int, compiled: bool = False) -> Contende
 
 def free(num_envs: int, threads: int, steps: int, compiled: bool = False, name: str = "free") -> Contender:
     """TorchRL's ``Collector`` with a policy that costs nothing; ``steps`` control steps a batch."""
-    env = _riding_env(num_envs, threads, compiled, stored_once=True)
+    env = _riding_env(num_envs, threads, compiled, compact_storage=True)
     still = env.full_action_spec.zero()
     return _collected(name, env, lambda state: state.update(still), threads, steps)
 
 
 def deployed(num_envs: int, threads: int, steps: int, compiled: bool = False) -> Contender:
     """``Collector`` with the deployed policy, untrained: estimators and actor."""
-    env = _riding_env(num_envs, threads, compiled, stored_once=True)
+    env = _riding_env(num_envs, threads, compiled, compact_storage=True)
     torch.manual_seed(0)
     policy = make_run_networks(TrainConfig(), env).deployed_policy()
     return _collected("deployed", env, policy, threads, steps)
@@ -107,8 +107,10 @@ def training_policy(num_envs: int, threads: int, steps: int, compiled: bool = Fa
     return Contender(Key("training_policy", num_envs, threads), lambda: collection.collect().numel(), close)
 
 
-def _riding_env(num_envs: int, threads: int, compiled: bool, stored_once: bool = False) -> TransformedEnv:
-    return make_riding_env(num_envs=num_envs, num_threads=threads, seed=0, compiled=compiled, stored_once=stored_once)
+def _riding_env(num_envs: int, threads: int, compiled: bool, compact_storage: bool = False) -> TransformedEnv:
+    return make_riding_env(
+        num_envs=num_envs, num_threads=threads, seed=0, compiled=compiled, compact_storage=compact_storage
+    )
 
 
 def _collected(

@@ -86,7 +86,7 @@ def measure_gait(policy: TensorDictModuleBase, config: TrainConfig, speed: float
         for step in range(round(GAIT_SECONDS / CONTROL_DT)):
             td = env.step(td.update(policy(td.select(*policy.in_keys))))
             if step * CONTROL_DT >= SETTLE:
-                state = base.runner.terms.reader.read()
+                state = base.runner.terms.extractor.read()
                 power = (state.torque * state.torque_velocity).clamp_min(0.0).sum(-1)
                 samples.append(
                     torch.cat([td["next", "speeds"][:, :1], power[:, None], state.contacts, state.foot_height], -1)

@@ -143,6 +143,5 @@ TASK_SETTINGS["balance"] = {
     "curriculum.initial_yaw_rate": 0.1,
     "curriculum.max_speed": 0.2,
     "curriculum.max_yaw_rate": 0.1,
-    "runaway_speed": 1.0,
-    "runaway_yaw_rate": 1.0,
+    "env.overspeed_margin": (1.0, 1.0),
 }

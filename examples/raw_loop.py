@@ -23,8 +23,8 @@ from torchrl_atr.objectives import ROAClipPPOLoss
 def main(iterations: int = 50, num_envs: int = 256, steps: int = 24, seed: int = 0) -> list[float]:
     """Trains, prints one line an iteration, and returns the mean reward of each."""
     torch.manual_seed(seed)
-    env = make_riding_env("a1", "single_board", num_envs=num_envs, seed=seed, stored_once=True)
-    inputs = {"estimator_inputs": ["dead_reckoned_velocity"], "critic_inputs": [("privileged", "outlook")]}
+    env = make_riding_env("a1", "single_board", num_envs=num_envs, seed=seed, compact_storage=True)
+    inputs = {"estimator_inputs": ["dead_reckoned_velocity"], "critic_inputs": [("privileged", "tracking_forecast")]}
     networks = make_networks(env.observation_spec, env.action_spec, estimator="cnn_gru", **inputs)
     # means and scales of a random ride to start from, with actions as large as an untrained policy's
     noise = env.rollout(steps, lambda tensordict: tensordict.set("action", torch.randn(env.action_spec.shape)))

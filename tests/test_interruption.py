@@ -96,7 +96,7 @@ def test_a_replay_that_is_stopped_between_two_steps_leaves_nothing(tmp_path, mon
     monkeypatch.setattr(module, "load_dump", lambda path: {"reason": ""})
     monkeypatch.setattr(module, "_scene", lambda *_: None)
     monkeypatch.setattr(module, "_steps", lambda *_: iter(steps))
-    monkeypatch.setattr(module, "Picture", _Blank)
+    monkeypatch.setattr(module, "OffscreenRenderer", _Blank)
 
     def line(step):
         if step.step == 3:
@@ -134,10 +134,10 @@ def _children(name):
 
 def _needs_renderer():
     from torchrl_atr.envs import RidingEnv
-    from torchrl_atr.evaluation.rendering import DisplayError, Picture
+    from torchrl_atr.evaluation.rendering import DisplayError, OffscreenRenderer
 
     try:
-        Picture(RidingEnv(num_envs=1, seed=0)).close()
+        OffscreenRenderer(RidingEnv(num_envs=1, seed=0)).close()
     except DisplayError as error:
         pytest.skip(str(error))
 

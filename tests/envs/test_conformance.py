@@ -111,7 +111,7 @@ def test_every_episode_starts_standing_on_what_carries_it(env):
             relative = td["privileged", "extrinsic"][:, 13:15].abs()
             assert (relative < torch.tensor(env.task.support.size) / 2).all()
         reading = env.runner.observe(torch.zeros(*env.batch_size, 2))
-        state = env.runner.terms.reader.read()
+        state = env.runner.terms.extractor.read()
         context = StepContext(state, *[td["command"]] * 3, None, env.scene, env.task.readings)
         assert not [name for name, ends in env.task.terminations.items() if ends(context).any()]
         assert (reading["proprio"][:, 6:8].abs() < 0.1).all()  # roll and pitch

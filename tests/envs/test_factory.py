@@ -99,12 +99,12 @@ def without_speeds():
         ({"tracking": ("forward_command",)}, "name one reward term for each of speed, yaw_rate"),
         ({"tracking": ()}, "name one reward term for each of speed, yaw_rate"),
         ({"command": replace(WALKING.command, grid=None)}, "has no grid to be drawn from"),
-        ({"observations": without_speeds()}, "it observes no 'speeds', which runaway_margin needs"),
+        ({"observations": without_speeds()}, "it observes no 'speeds', which overspeed_margin needs"),
     ],
 )
 def test_a_task_that_the_standard_transforms_do_not_fit_is_told_why(fields, message):
     with pytest.raises(InputError, match=f"task 'walking': .*{message}.*around a QuadrupedEnv"):
-        make_env(WALKING.replace(**fields), 2, num_threads=1, runaway_margin=(1.0, 1.0))
+        make_env(WALKING.replace(**fields), 2, num_threads=1, overspeed_margin=(1.0, 1.0))
 
 
 def test_a_command_of_three_components_needs_transforms_of_its_own():

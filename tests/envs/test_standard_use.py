@@ -22,10 +22,10 @@ from torchrl_atr.envs import RidingEnv, make_riding_env
 from torchrl_atr.envs.transforms import (
     CommandCurriculum,
     CommandGrid,
+    CompactStorage,
     ObservationHistory,
     OverspeedTermination,
-    StaggeredCounter,
-    StoredOnce,
+    RandomizedStepCounter,
     task_transforms,
 )
 from torchrl_atr.modules import make_networks
@@ -37,7 +37,7 @@ TRAINING = {
     "stagger": 5,
     "failed_episode_replay": 0.5,
     "moving_start": 0.5,
-    "runaway_margin": (2.0, 2.0),
+    "overspeed_margin": (2.0, 2.0),
     "max_steps": 20,
     "window": 15,
 }
@@ -194,10 +194,10 @@ _RIDE = """
 import sys, torch
 torch.set_default_dtype(getattr(torch, sys.argv[1]))
 from torchrl_atr.envs import make_riding_env
-from torchrl_atr.modules import Exploration, leg_synergies, make_networks
+from torchrl_atr.modules import Exploration, hadamard_leg_basis, make_networks
 torch.manual_seed(0)
 env = make_riding_env(num_envs=3, seed=0, num_threads=1, max_steps=20, window=15, stagger=5, failed_episode_replay=0.5,
-                      moving_start=0.5, runaway_margin=(2.0, 2.0))
+                      moving_start=0.5, overspeed_margin=(2.0, 2.0))
 action, root, total = torch.full((3, 12), 0.3, dtype=torch.float32), env.reset(), 0.0
 for _ in range(60):
     step, root = env.step_and_maybe_reset(root.set("action", action))
@@ -206,7 +206,7 @@ for _ in range(60):
 assert env.observation_spec["observation"].dtype == torch.float32
 assert all(value.dtype == torch.float32 for value in env.base_env.reflections.values())
 networks = make_networks(env.observation_spec, env.action_spec, reflections=env.base_env.reflections,
-                         exploration=Exploration(12, basis=leg_synergies()), output_map=leg_synergies().T)
+                         exploration=Exploration(12, basis=hadamard_leg_basis()), output_map=hadamard_leg_basis().T)
 assert env.rollout(2, networks.rollout_policy("mixed"))["action"].dtype == torch.float32
 print(repr(total))
 """
@@ -282,7 +282,7 @@ def test_wrong_kinds_of_arguments_are_named(name, value):
     [
         (lambda: task_transforms((0.2, 0.2), max_steps=10.5), "max_steps=10.5"),
         (lambda: task_transforms((0.2, 0.2), stagger=True), "stagger=True"),
-        (lambda: task_transforms((0.2, 0.2), stored_once=1), "stored_once=1"),
+        (lambda: task_transforms((0.2, 0.2), compact_storage=1), "compact_storage=1"),
         (lambda: CommandCurriculum(0.2), "tracking_max=0.2"),
         (lambda: CommandCurriculum((0.2, 0.2), thresholds=("a", "b")), "thresholds='a'"),
         (lambda: CommandCurriculum((0.2, 0.2), window=2.5), "window=2.5"),
@@ -296,8 +296,8 @@ def test_wrong_kinds_of_arguments_are_named(name, value):
         (lambda: ObservationHistory(2, include_current=1), "include_current=1"),
         (lambda: OverspeedTermination(CommandCurriculum((0.2, 0.2)), margin=3.0), "margin must be two positive"),
         (lambda: OverspeedTermination(None), "curriculum=None"),
-        (lambda: StaggeredCounter(5.5), "max_steps=5.5"),
-        (lambda: StaggeredCounter(10**400), "max_steps=1000"),
+        (lambda: RandomizedStepCounter(5.5), "max_steps=5.5"),
+        (lambda: RandomizedStepCounter(10**400), "max_steps=1000"),
         (lambda: CommandGrid(increment=10**400), "increment=1000"),
         (lambda: CommandCurriculum((True, 0.2)), "tracking_max=True"),
         (lambda: CommandCurriculum(torch.tensor(0.2)), "tracking_max="),
@@ -307,14 +307,14 @@ def test_wrong_kinds_of_arguments_are_named(name, value):
         (lambda: OverspeedTermination(CommandCurriculum((0.2, 0.2)), speeds_key=None), "speeds_key=None"),
         (lambda: OverspeedTermination(CommandCurriculum((0.2, 0.2)), reward_keys=(1,)), "reward_keys=1"),
         (lambda: ObservationHistory(2, out_key=("a", 1)), "out_key="),
-        (lambda: StoredOnce(in_next=(1,)), "in_next=1"),
+        (lambda: CompactStorage(in_next=(1,)), "in_next=1"),
         (lambda: make(history_length=2.5), "history_length=2.5"),
-        (lambda: make(runaway_margin=2.0), "runaway_margin must be"),
+        (lambda: make(overspeed_margin=2.0), "overspeed_margin must be"),
         (lambda: make(num_threads=10**400), "num_threads=1000"),
         (lambda: make(transporter={}), "there is no name, design"),
         (lambda: make(transporter={"disc": 1}), "unknown key 'disc'"),
-        (lambda: StaggeredCounter(5, every=2.5), "every=2.5"),
-        (lambda: StoredOnce(at_root="history"), "at_root='history'"),
+        (lambda: RandomizedStepCounter(5, every=2.5), "every=2.5"),
+        (lambda: CompactStorage(at_root="history"), "at_root='history'"),
     ],
 )
 def test_wrong_kinds_of_the_transforms_arguments_are_named(provoke, name):

@@ -49,7 +49,7 @@ def test_observations_are_flat_and_none_is_called_state():
         "dead_reckoned_velocity": 3,
         "privileged_intrinsic": 34,
         "privileged_extrinsic": 16,
-        "privileged_outlook": 14,
+        "privileged_tracking_forecast": 14,
     }
     assert sizes == {name: (size,) for name, size in expected.items()}
 
@@ -66,7 +66,7 @@ def test_walking_shows_its_clock_and_its_feet():
         "dead_reckoned_velocity": 3,
         "privileged_intrinsic": QuadrupedEnv(walking(), 1).runner.intrinsics.size,
         "privileged_extrinsic": 7,
-        "privileged_outlook": 12,
+        "privileged_tracking_forecast": 12,
     }
 
 

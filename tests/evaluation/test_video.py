@@ -10,7 +10,7 @@ from torchrl_atr.envs.tasks import walking
 from torchrl_atr.envs.transforms import task_transforms
 from torchrl_atr.evaluation import DEFAULT_RIDE, play_viewer, record_video, rendering
 from torchrl_atr.evaluation.access import command_limits
-from torchrl_atr.evaluation.rendering import Mirror, Picture
+from torchrl_atr.evaluation.rendering import OffscreenRenderer, SceneView
 from torchrl_atr.evaluation.video import command_at, ride, within
 from torchrl_atr.evaluation.viewer import Keyboard
 
@@ -35,7 +35,7 @@ def stand(env):
 def picture(env):
     env.reset()
     try:
-        with Picture(env, size=(64, 48)) as made:
+        with OffscreenRenderer(env, size=(64, 48)) as made:
             yield made
     except RuntimeError as error:
         if "cannot render" not in str(error):
@@ -79,19 +79,19 @@ def test_the_mirror_puts_the_board_where_the_odometer_says(env):
     env.rand_step(env.reset())
     engine = env.base_env.engine
     engine.world_offset[:] = torch.tensor([[0.0, 0.0], [30.0, -7.0]])
-    mirror, layout, support = Mirror(env, row=1), engine.scene.layout, engine.scene.support_layout
+    view, layout, support = SceneView(env, row=1), engine.scene.layout, engine.scene.support_layout
     planar, root = support.planar_qpos[:2], layout.root_qpos
-    x, y, heading = mirror.pose()
+    x, y, heading = view.pose()
     np.testing.assert_allclose([x, y], engine.qpos[1, planar] + torch.tensor([30.0, -7.0]))
     assert heading == pytest.approx(engine.qpos[1, support.planar_qpos[2]].item(), abs=1e-12)
     # board and robot move together: their distance, and the joints, are the engine's
-    shown = mirror.data.qpos
+    shown = view.data.qpos
     np.testing.assert_allclose(
         shown[root : root + 2] - shown[planar], engine.qpos[1, root : root + 2] - engine.qpos[1, planar]
     )
     np.testing.assert_array_equal(shown[layout.joint_qpos], engine.qpos[1, layout.joint_qpos])
-    np.testing.assert_allclose(mirror.data.xpos[layout.trunk_body][:2], shown[root : root + 2])
-    assert mirror.model is not env.base_env.model
+    np.testing.assert_allclose(view.data.xpos[layout.trunk_body][:2], shown[root : root + 2])
+    assert view.model is not env.base_env.model
 
 
 def test_a_picture_shows_board_and_sky(picture):
@@ -131,7 +131,7 @@ def test_far_away_the_picture_is_the_same(env, picture, far):
 def test_the_mirror_stays_near_the_origin(env):
     engine = env.base_env.engine
     engine.world_offset[1] = torch.tensor([12_345.5, -1e6 - 0.25])
-    x, y, _ = Mirror(env, row=1).pose()
+    x, y, _ = SceneView(env, row=1).pose()
     np.testing.assert_allclose([x, y], [45.5, -0.25], atol=0.1)
 
 
@@ -155,16 +155,16 @@ def test_bad_videos_are_named(env, stand, tmp_path):
     with pytest.raises(ValueError, match="0 commands cannot be; give at least one command"):
         record_video(stand, env, tmp_path / "ride.mp4", commands=[])
     with pytest.raises(ValueError, match="unknown camera 'front'; choose one of chase"):
-        Picture(env, camera="front")
+        OffscreenRenderer(env, camera="front")
     with pytest.raises(ValueError, match="up to"):
-        Picture(env, size=(10_000, 10))
+        OffscreenRenderer(env, size=(10_000, 10))
 
 
 def test_without_opengl_the_error_says_what_to_install(env, monkeypatch):
     monkeypatch.setitem(rendering._BACKENDS, "egl", "torchrl_atr.no_such_backend")
     monkeypatch.setenv("MUJOCO_GL", "egl")
     with pytest.raises(RuntimeError, match=r"MUJOCO_GL=egl.*libegl1.*libosmesa6"):
-        Picture(env)
+        OffscreenRenderer(env)
 
 
 @pytest.mark.parametrize(

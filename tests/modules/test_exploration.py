@@ -11,10 +11,10 @@ from torchrl_atr.modules import (
     ActorBackbone,
     CorrelatedGaussian,
     Exploration,
+    RotatedNormal,
     RunningNormalizer,
-    SynergyNormal,
     correlate,
-    leg_synergies,
+    hadamard_leg_basis,
     make_actor,
 )
 
@@ -117,7 +117,7 @@ def test_bad_correlation():
 
 
 def test_synergies_are_orthonormal_and_the_first_ones_move_all_legs_alike():
-    basis = leg_synergies(3)
+    basis = hadamard_leg_basis(3)
     torch.testing.assert_close(basis.T @ basis, torch.eye(12))
     for joint in range(3):
         torch.testing.assert_close(basis[:, joint], torch.eye(3)[joint].repeat(4) / 2)
@@ -126,8 +126,8 @@ def test_synergies_are_orthonormal_and_the_first_ones_move_all_legs_alike():
 
 def test_synergy_normal_is_the_multivariate_normal_of_its_basis():
     torch.manual_seed(0)
-    basis, loc, scale = leg_synergies(), torch.randn(4, 12), torch.rand(12) + 0.1
-    normal = SynergyNormal(loc, scale.expand(4, 12), basis)
+    basis, loc, scale = hadamard_leg_basis(), torch.randn(4, 12), torch.rand(12) + 0.1
+    normal = RotatedNormal(loc, scale.expand(4, 12), basis)
     covariance = basis @ scale.square().diag() @ basis.T
     reference = torch.distributions.MultivariateNormal(loc, covariance)
     value = torch.randn(4, 12)
@@ -140,7 +140,7 @@ def test_synergy_normal_is_the_multivariate_normal_of_its_basis():
 
 def test_correlate_keeps_the_actors_distribution():
     torch.manual_seed(0)
-    actor = make_actor(backbone(12), Exploration(12, [0.5] * 3 + [0.1] * 9, basis=leg_synergies()))
+    actor = make_actor(backbone(12), Exploration(12, [0.5] * 3 + [0.1] * 9, basis=hadamard_leg_basis()))
     td = TensorDict(observation=torch.randn(6, 5), act={"intrinsic": torch.randn(6, 3), "extrinsic": torch.randn(6, 4)})
     td.batch_size = [6]
     with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():

@@ -176,7 +176,7 @@ def fuller(spec):
     """The spec of an env that offers more: velocities by dead reckoning, and what the critic alone may see."""
     extra = Composite(
         dead_reckoned_velocity=Unbounded((5, 2)),
-        privileged=Composite(outlook=Unbounded((5, 8)), shape=(5,)),
+        privileged=Composite(tracking_forecast=Unbounded((5, 8)), shape=(5,)),
         shape=(5,),
     )
     return spec.clone().update(extra)
@@ -192,11 +192,11 @@ def test_what_an_env_offers_is_not_read_unless_it_is_asked_for(spec, fuller):
         fuller,
         Unbounded((5, 2)),
         estimator_inputs=["dead_reckoned_velocity"],
-        critic_inputs=[("privileged", "outlook"), "dead_reckoned_velocity"],
+        critic_inputs=[("privileged", "tracking_forecast"), "dead_reckoned_velocity"],
         **options,
     )
     assert set(asked.deployed_policy().in_keys) == {"history", "observation", "dead_reckoned_velocity"}
-    assert asked.critic_module.in_keys[-2:] == [("privileged", "outlook"), "dead_reckoned_velocity"]
+    assert asked.critic_module.in_keys[-2:] == [("privileged", "tracking_forecast"), "dead_reckoned_velocity"]
     assert linear_sizes(asked.critic)[0][0] == linear_sizes(plain.critic)[0][0] + 8 + 2
     assert linear_sizes(asked.extrinsic_estimator)[0][0] == 4 * (7 + 2)
     asked.update_normalizers(fuller.rand())

@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
-from torchrl_atr.modules import OnDevice
+from torchrl_atr.modules import DeviceBridge
 
 
 def test_only_what_the_module_reads_goes_and_only_what_it_writes_comes_back():
@@ -19,7 +19,7 @@ def test_only_what_the_module_reads_goes_and_only_what_it_writes_comes_back():
     module = TensorDictModule(Double(), in_keys=[("nested", "x")], out_keys=["y"])
     module.register_forward_pre_hook(lambda _, arguments: seen.append(set(arguments[0].keys(True, True))))
     data = TensorDict(nested={"x": torch.ones(3, 1), "other": torch.zeros(3)}, more=torch.zeros(3), batch_size=[3])
-    policy = OnDevice(module, "cpu")
+    policy = DeviceBridge(module, "cpu")
     assert policy(data) is data
     assert seen == [{("nested", "x")}]
     assert data["y"].tolist() == [[2.0], [2.0], [2.0]]

@@ -14,7 +14,7 @@ from torchrl_atr.modules import (
     NetworkKeys,
     RunningNormalizer,
     SymmetricLinear,
-    leg_synergies,
+    hadamard_leg_basis,
     make_networks,
     symmetric_mlp,
 )
@@ -43,7 +43,11 @@ SPEC = Composite(
 
 def networks(**options):
     torch.manual_seed(0)
-    options = {"exploration": Exploration(12, basis=leg_synergies()), "output_map": leg_synergies().T, **options}
+    options = {
+        "exploration": Exploration(12, basis=hadamard_leg_basis()),
+        "output_map": hadamard_leg_basis().T,
+        **options,
+    }
     nets = make_networks(SPEC, Unbounded((12,)), products=[(3, 4)], reflections=MIRROR, **options)
     data = SPEC.expand(64).rand()
     data["observation"] += torch.tensor([3.0, 0.0, 1.0, 0.0, -1.0])  # no symmetric statistics of their own
@@ -125,7 +129,7 @@ def test_the_mirrored_robot_acts_mirrored_and_is_worth_the_same():
     "output_map",
     [
         None,
-        torch.logspace(-8, 1, 12).unsqueeze(-1) * leg_synergies().T,
+        torch.logspace(-8, 1, 12).unsqueeze(-1) * hadamard_leg_basis().T,
         torch.diag(torch.tensor([1.0, 2.0, 3.0]).repeat(4)),
     ],
     ids=["identity", "gains of all sizes", "alike in both sides' legs"],
@@ -143,7 +147,7 @@ def test_an_output_map_that_treats_sides_apart_is_refused():
 
 
 def test_log_probabilities_are_those_of_the_mirror_image():
-    nets, data = networks(exploration=Exploration(12, [0.3] * 3 + [0.1] * 9, basis=leg_synergies()))
+    nets, data = networks(exploration=Exploration(12, [0.3] * 3 + [0.1] * 9, basis=hadamard_leg_basis()))
     actor = nets.training_actor("privileged")
     action = torch.randn(64, 12) * 0.2
     here = actor.get_dist(data).log_prob(action)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from torchrl_atr.modules import leg_synergies
+from torchrl_atr.modules import hadamard_leg_basis
 from torchrl_atr.training import DEPLOYED, ConfigError, make_config, make_env, make_run_networks
 from torchrl_atr.training.assembly import TOGETHER
 
@@ -62,7 +62,7 @@ def test_a_part_that_the_task_does_not_have_is_refused_and_its_default_ignored()
 @pytest.mark.parametrize(
     ("settings", "policy", "critic"),
     [
-        ({}, {"dead_reckoned_velocity"}, TRUTH | {("privileged", "outlook")}),
+        ({}, {"dead_reckoned_velocity"}, TRUTH | {("privileged", "tracking_forecast")}),
         ({"estimator.dead_reckoning": False, "ppo.tracking_forecast": False}, set(), TRUTH),
         ({"ppo.privileged_critic": False}, {"dead_reckoned_velocity"}, set()),
     ],
@@ -78,7 +78,7 @@ def test_outputs_move_directions_of_exploration_with_the_gains_of_their_first_va
     config = make_config(
         {"env.num_envs": 1, "exploration.init_std": 0.3, "exploration.relative_std": 0.1, "compute.num_threads": 1}
     )
-    networks, basis = make_run_networks(config, make_env(config)), leg_synergies()
+    networks, basis = make_run_networks(config, make_env(config)), hadamard_leg_basis()
     assert torch.equal(networks.exploration.basis, basis)
     torch.testing.assert_close(networks.exploration.std(), torch.tensor([0.3] * 3 + [0.1] * 9))
     gains = torch.tensor([0.3] * 3 + [0.1**2 / 0.3] * 9)

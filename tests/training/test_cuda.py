@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_atr.envs import make_riding_env
-from torchrl_atr.modules import OnDevice
+from torchrl_atr.modules import DeviceBridge
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, make_run_networks, run_config
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; torch finds none here")
@@ -108,7 +108,7 @@ def test_a_policy_there_writes_what_it_writes_here_and_waits_for_that_alone(capt
     data, plain = env.reset(), networks.rollout_policy("mixed", 0.5)
     with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
         wanted = plain(data.clone()).select(*plain.out_keys)
-        policy = OnDevice(networks.to("cuda").rollout_policy("mixed", 0.5), "cuda", captured)
+        policy = DeviceBridge(networks.to("cuda").rollout_policy("mixed", 0.5), "cuda", captured)
         for _ in range(6):
             written = policy(data.clone()).select(*plain.out_keys)
             assert {value.device.type for value in written.values(True, True)} == {"cpu"}

@@ -236,7 +236,10 @@ def test_a_configuration_of_another_kind_is_refused(tmp_path, config):
             "dead_reckoned_velocity",
             "estimator.dead_reckoning=true reads 'dead_reckoned_velocity', which the env does not have; set it to f",
         ),
-        (("privileged", "outlook"), r"ppo.tracking_forecast=true reads \('privileged', 'outlook'\), which the env"),
+        (
+            ("privileged", "tracking_forecast"),
+            r"ppo.tracking_forecast=true reads \('privileged', 'tracking_forecast'\), which the env",
+        ),
         (("privileged", "extrinsic"), "do not fit the task 'riding_less' .*give make_networks= too"),
     ],
 )

@@ -10,7 +10,7 @@ from torch import nn
 import torchrl_atr
 from torchrl_atr._settings import settings
 from torchrl_atr.envs import get_interpretation
-from torchrl_atr.envs.transforms import OverspeedTermination, StaggeredCounter
+from torchrl_atr.envs.transforms import OverspeedTermination, RandomizedStepCounter
 from torchrl_atr.listings import settings_page
 from torchrl_atr.modules.symmetry import SymmetricLinear
 from torchrl_atr.training import PRESETS, TrainConfig, additions, make_config, make_env, make_run_networks
@@ -89,7 +89,7 @@ def test_a_preset_is_a_profile_of_the_env_too():
 def test_paper_makes_plain_parts():
     config = PAPER.replace(env__num_envs=4, compute__num_threads=1)
     env = make_env(config)
-    assert not any(isinstance(part, OverspeedTermination | StaggeredCounter) for part in env.transform)
+    assert not any(isinstance(part, OverspeedTermination | RandomizedStepCounter) for part in env.transform)
     networks = make_run_networks(config, env)
     assert not any(isinstance(part, SymmetricLinear) for part in networks.modules())
     assert networks.exploration.basis is None

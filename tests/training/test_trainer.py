@@ -9,7 +9,7 @@ import pytest
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_atr.modules import OnDevice, available_estimators, register_estimator
+from torchrl_atr.modules import DeviceBridge, available_estimators, register_estimator
 from torchrl_atr.modules.estimators import get_estimator
 from torchrl_atr.training import Trainer, collection, load_checkpoint, load_run, make_config
 
@@ -74,7 +74,7 @@ def test_resume_goes_on_where_the_run_stopped(run):
 
 def test_a_run_goes_on_here_wherever_its_policy_was(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(collection, "_for_cpu_data", lambda policy, _: OnDevice(policy, "cpu").forward)
+        patch.setattr(collection, "_for_cpu_data", lambda policy, _: DeviceBridge(policy, "cpu").forward)
         Trainer(make_config({**TINY, "total_frames": 2 * 64}), tmp_path / "there").train()
     Trainer(make_config({**TINY, "total_frames": 2 * 64}), tmp_path / "here").train()
     ends = []

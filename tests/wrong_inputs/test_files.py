@@ -54,14 +54,14 @@ def folder(tmp_path):
 def test_what_is_in_the_way_is_named(refused, folder, monkeypatch, untouched_run, arguments, culprit, remedy):
     pytest.importorskip("mediapy")
     monkeypatch.setattr("torchrl_atr.evaluation.evaluate_tracking", None)  # it must not come to that
-    monkeypatch.setattr("torchrl_atr.evaluation.video.Picture", _NoPicture)
+    monkeypatch.setattr("torchrl_atr.evaluation.video.OffscreenRenderer", _NoRenderer)
     words = [word.replace("RUN", str(untouched_run)).replace("HERE", str(folder)) for word in arguments.split()]
     refused(words, culprit, remedy)
     assert (folder / "note.txt").read_text() == "keep me"
     assert sorted(file.name for file in folder.iterdir()) == ["note.txt", "scene.xml"]
 
 
-class _NoPicture:
+class _NoRenderer:
     """Stands in for a renderer, which not every machine has."""
 
     def __init__(self, *arguments: object) -> None: ...

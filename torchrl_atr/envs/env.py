@@ -77,7 +77,7 @@ class QuadrupedEnv(EnvBase):
 
     Keys, float32 and SI units: ``action`` (N, 12) and ``command`` (N, C) in; out the task's groups of observations (of
     riding ``proprio`` 44, ``speeds`` 2, ``dead_reckoned_velocity`` 3, ``("privileged", "extrinsic")`` 16,
-    ``("privileged", "outlook")`` 14), ``command``, ``observation`` (proprio and command),
+    ``("privileged", "tracking_forecast")`` 14), ``command``, ``observation`` (proprio and command),
     ``("privileged", "intrinsic")``, ``moving_start``, ``("reward_terms", name)``, ``reward`` and the done flags.
 
     Example:
@@ -287,7 +287,7 @@ class QuadrupedEnv(EnvBase):
             row, name = next(iter(bad.items()))
             raise InputError(f"state entry {name!r} is not finite for env id {row}; give a state of get_state()")
         emitted = state.get("emitted", None)
-        previous = self.runner.terms.reader.state if emitted is None else ()
+        previous = self.runner.terms.extractor.state if emitted is None else ()
         self.runner.set_state(dict(state.exclude("emitted", *previous).items()))
         if emitted is None:
             self._emitted = self.runner.observe(self._command(state))

@@ -44,8 +44,8 @@ def make_env(
     stagger: int = 0,
     window: int = 250,
     grid: CommandGrid | None = None,
-    runaway_margin: tuple[float, float] | None = None,
-    stored_once: bool = False,
+    overspeed_margin: tuple[float, float] | None = None,
+    compact_storage: bool = False,
     **curriculum: Any,
 ) -> CurriculumEnv:
     """Return a task's env behind command curriculum, observation, history, time limit and episode reward.
@@ -65,13 +65,13 @@ def make_env(
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
         stagger: if positive, the robots' first episodes end at different times, and the limit is looked at in every so
-            many steps (for training): see :class:`~torchrl_atr.envs.transforms.StaggeredCounter`.
+            many steps (for training): see :class:`~torchrl_atr.envs.transforms.RandomizedStepCounter`.
         window: control steps that a command lasts (5 s at 50 Hz).
         grid: the curriculum's cells and update rule; None for the task's.
-        runaway_margin: end episodes of robots faster than any command by this much, in the units of the command (for
+        overspeed_margin: end episodes of robots faster than any command by this much, in the units of the command (for
             training).
-        stored_once: whether collected steps hold the history at the root alone, and reward terms in ``next`` alone (for
-            training): see :class:`~torchrl_atr.envs.transforms.StoredOnce`.
+        compact_storage: whether collected steps hold the history at the root alone, and reward terms in ``next`` alone
+            (for training): see :class:`~torchrl_atr.envs.transforms.CompactStorage`.
         **curriculum: further arguments of :class:`~torchrl_atr.envs.transforms.CommandCurriculum`.
 
     Returns:
@@ -95,8 +95,8 @@ def make_env(
         raise _unfit(task, "its command has no grid to be drawn from; give it one")
     if len(task.command) != 2:
         raise _unfit(task, f"its command has {len(task.command)} components, and a command curriculum draws two")
-    if runaway_margin is not None and "speeds" not in task.observations:
-        raise _unfit(task, "it observes no 'speeds', which runaway_margin needs; observe what answers the command")
+    if overspeed_margin is not None and "speeds" not in task.observations:
+        raise _unfit(task, "it observes no 'speeds', which overspeed_margin needs; observe what answers the command")
     transforms = task_transforms(
         _tracking_max(env),
         history_length=history_length,
@@ -105,9 +105,9 @@ def make_env(
         stagger=stagger,
         window=window,
         grid=grid,
-        runaway_margin=runaway_margin,
-        runaway_penalty=env.runner.terms.rewards.termination_cost,
-        stored_once=stored_once,
+        overspeed_margin=overspeed_margin,
+        overspeed_penalty=env.runner.terms.rewards.termination_cost,
+        compact_storage=compact_storage,
         unscored_key="moving_start",
         seed=seed,
         tracking_keys=[("reward_terms", name) for name in task.tracking],

@@ -65,11 +65,11 @@ def _make_contexts(model: mujoco.MjModel, size: tuple[int, int]) -> tuple[Any, m
         raise DisplayError(_NO_GL.format(name=name, reason=reason)) from error
 
 
-class Picture:
+class OffscreenRenderer:
     """Renders one robot of a riding env; a context manager.
 
     The env keeps board and robot at the origin; here the board's odometer is added back, so that it moves over the
-    floor, which is the same however far it rode: see :class:`Mirror`.
+    floor, which is the same however far it rode: see :class:`SceneView`.
 
     Args:
         env: a RidingEnv, transformed or not.
@@ -84,8 +84,8 @@ class Picture:
     """
 
     def __init__(self, env: EnvBase, size: tuple[int, int] = (640, 480), camera: str = CHASE, row: int = 0) -> None:
-        self._mirror = Mirror(env, row)
-        model = self._mirror.model
+        self._view = SceneView(env, row)
+        model = self._view.model
         largest = model.vis.global_.offwidth, model.vis.global_.offheight
         if not (0 < size[0] <= largest[0] and 0 < size[1] <= largest[1]):
             raise InputError(f"size={size}: choose width and height up to {largest}")
@@ -122,10 +122,10 @@ class Picture:
         Returns:
             (height, width, 3) uint8, RGB.
         """
-        self._mirror.update()
+        self._view.update()
         if self._free:
             self._follow(dt)
-        model, data = self._mirror.model, self._mirror.data
+        model, data = self._view.model, self._view.data
         self._context.make_current()
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateCamera(model, data, self._camera, self._scene)  # the floor is laid out around the last camera
@@ -139,7 +139,7 @@ class Picture:
         return image[::-1]
 
     def _follow(self, dt: float) -> None:
-        x, y, heading = self._mirror.pose()
+        x, y, heading = self._view.pose()
         if self._heading is None:
             self._heading = heading
         behind = math.remainder(heading - self._heading, math.tau)  # a reset, or a state of one's own, may turn it back
@@ -154,7 +154,7 @@ class Picture:
             self._context.free()
             self._context = None
 
-    def __enter__(self) -> Picture:
+    def __enter__(self) -> OffscreenRenderer:
         return self
 
     def __exit__(
@@ -163,7 +163,7 @@ class Picture:
         self.close()
 
 
-class Mirror:
+class SceneView:
     """A MuJoCo model and data of our own that show one robot of an env, where it is on the floor.
 
     Positions are those in the world less a whole number of the floor's tiles, within 50 m of the origin: the

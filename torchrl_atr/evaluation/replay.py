@@ -18,7 +18,7 @@ from torchrl_atr.envs.models.identity import describe, differences, first_few
 from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
 from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.tasks import TASKS
-from torchrl_atr.evaluation.rendering import Picture
+from torchrl_atr.evaluation.rendering import OffscreenRenderer
 from torchrl_atr.evaluation.video import check_suffix, video_writer
 
 
@@ -68,7 +68,7 @@ def replay(path: str | Path, video: str | Path | None = None) -> Generator[Repla
         yield from steps
         return
     with (
-        Picture(env) as picture,
+        OffscreenRenderer(env) as picture,
         atomic(video) as file,
         video_writer(file, Path(video).suffix, fps=0.1 / CONTROL_DT) as writer,
     ):
@@ -106,7 +106,7 @@ def _scene(dump: dict[str, Any], path: Path) -> QuadrupedEnv:
 
 def _steps(env: QuadrupedEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:
     engine, states, actions = env.engine, dump["states"], dump["actions"]
-    idle, reader = env.runner.get_state(), env.runner.terms.reader
+    idle, extractor = env.runner.get_state(), env.runner.terms.extractor
     command = torch.zeros(1, len(env.task.command), dtype=torch.float32)
     unknown = torch.full((1, 2), float("nan"))
     for index, action in enumerate(actions):
@@ -121,7 +121,7 @@ def _steps(env: QuadrupedEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:
             step=dump["step"] - len(actions) + 1 + index,
             speed=float(speeds[0]),
             yaw_rate=float(speeds[1]),
-            tilt=float(reader.read().euler[0, :2].abs().max()),
+            tilt=float(extractor.read().euler[0, :2].abs().max()),
             largest_velocity=float(engine.qvel[0].abs().max()),
             largest_action=float(action.abs().max()),
             diverged=bool(engine.diverged[0]) or (last and "not finite" in dump["reason"]),

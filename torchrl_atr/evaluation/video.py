@@ -18,7 +18,7 @@ from torchrl_atr._files import atomic
 from torchrl_atr._interrupt import signals_held
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import achieved_speeds, command_limits, command_owner, deterministic
-from torchrl_atr.evaluation.rendering import CHASE, Picture
+from torchrl_atr.evaluation.rendering import CHASE, OffscreenRenderer
 
 Command = tuple[float, float, float]
 DEFAULT_RIDE: tuple[Command, ...] = (
@@ -100,7 +100,7 @@ def record_video(
     every = max(1, round(1.0 / (fps * CONTROL_DT)))
     period, frames, falls = every * CONTROL_DT, 0, 0
     with (
-        Picture(env, size, camera) as picture,
+        OffscreenRenderer(env, size, camera) as picture,
         atomic(path) as file,
         video_writer(file, Path(path).suffix, 1.0 / period, size) as writer,
     ):

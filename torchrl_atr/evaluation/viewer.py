@@ -12,7 +12,7 @@ from torchrl.envs import EnvBase
 
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import command_limits
-from torchrl_atr.evaluation.rendering import DisplayError, Mirror, has_display
+from torchrl_atr.evaluation.rendering import DisplayError, SceneView, has_display
 from torchrl_atr.evaluation.video import Command, ride
 
 _FOREVER = 10**9
@@ -86,18 +86,18 @@ def play_viewer(
 
     low, high = command_limits(env)
     keyboard = Keyboard(high, lowest=low)
-    mirror = Mirror(env)
+    view = SceneView(env)
     steps = _FOREVER if seconds is None else round(seconds / CONTROL_DT)
     asked: Sequence[Command] = keyboard if commands is None else commands  # type: ignore[assignment]
-    with mujoco.viewer.launch_passive(mirror.model, mirror.data, key_callback=keyboard) as window:
+    with mujoco.viewer.launch_passive(view.model, view.data, key_callback=keyboard) as window:
         window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
-        window.cam.trackbodyid = mirror.engine.scene.layout.followed_body
+        window.cam.trackbodyid = view.engine.scene.layout.followed_body
         window.cam.distance, window.cam.elevation = 2.6, -18.0
         begun = time.monotonic()
         for step, _ in enumerate(ride(policy, env, asked, steps), start=1):
             if not window.is_running():
                 break
             with window.lock():
-                mirror.update()
+                view.update()
             window.sync()
             time.sleep(max(0.0, begun + step * CONTROL_DT - time.monotonic()))

@@ -5,7 +5,7 @@ actor acts on, and :func:`make_networks`, which builds them all from an env's sp
 """
 
 from torchrl_atr.modules.act_source import SOURCES, ActSource, AssignActSource, Source
-from torchrl_atr.modules.action_noise import CorrelatedGaussian, SynergyNormal, correlate
+from torchrl_atr.modules.action_noise import CorrelatedGaussian, RotatedNormal, correlate
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.checks import check_estimator
 from torchrl_atr.modules.command_range import COMMAND_RANGE, ClippedPolicy, CommandRange
@@ -20,12 +20,12 @@ from torchrl_atr.modules.estimators import (
     get_estimator,
     register_estimator,
 )
-from torchrl_atr.modules.exploration import Exploration, leg_synergies
+from torchrl_atr.modules.exploration import Exploration, hadamard_leg_basis
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.network_factory import make_networks
 from torchrl_atr.modules.networks import RidingNetworks
 from torchrl_atr.modules.normalization import RunningNormalizer
-from torchrl_atr.modules.placement import OnDevice
+from torchrl_atr.modules.placement import DeviceBridge
 from torchrl_atr.modules.symmetry import SymmetricLinear, symmetric_mlp
 
 __all__ = [
@@ -39,23 +39,23 @@ __all__ = [
     "ClippedPolicy",
     "CommandRange",
     "CorrelatedGaussian",
+    "DeviceBridge",
     "EstimatorError",
     "Exploration",
     "IntrinsicEncoder",
     "MLPEstimator",
     "NetworkKeys",
     "NormalizedEstimator",
-    "OnDevice",
     "RidingNetworks",
+    "RotatedNormal",
     "RunningNormalizer",
     "Source",
     "SymmetricLinear",
-    "SynergyNormal",
     "available_estimators",
     "check_estimator",
     "correlate",
     "get_estimator",
-    "leg_synergies",
+    "hadamard_leg_basis",
     "make_actor",
     "make_networks",
     "register_estimator",

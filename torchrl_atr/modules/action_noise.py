@@ -14,7 +14,7 @@ from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
 
-class SynergyNormal(IndependentNormal):
+class RotatedNormal(IndependentNormal):
     """Draw actions from a normal distribution that is independent along the columns of an orthonormal basis.
 
     Args:
@@ -23,8 +23,8 @@ class SynergyNormal(IndependentNormal):
         basis (Tensor, optional): (A, A); None for the actions themselves.
 
     Examples:
-        >>> from torchrl_atr.modules import leg_synergies
-        >>> normal = SynergyNormal(torch.zeros(12), torch.full((12,), 0.1), leg_synergies())
+        >>> from torchrl_atr.modules import hadamard_leg_basis
+        >>> normal = RotatedNormal(torch.zeros(12), torch.full((12,), 0.1), hadamard_leg_basis())
         >>> normal.rsample().shape, normal.log_prob(torch.zeros(12)).shape
         (torch.Size([12]), torch.Size([]))
     """
@@ -64,7 +64,7 @@ class CorrelatedGaussian(TensorDictModuleBase):
 
     Args:
         correlation (float): ρ in [0, 1); 0 is white noise.
-        basis (Tensor, optional): of the policy's :class:`SynergyNormal`.
+        basis (Tensor, optional): of the policy's :class:`RotatedNormal`.
         loc, scale (NestedKey): the policy's mean and standard deviation, (*B, A).
         action (NestedKey): what is written, with ``<action>_log_prob`` beside it.
 
@@ -101,7 +101,7 @@ class CorrelatedGaussian(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action and its log-probability; the mean under ``ExplorationType.DETERMINISTIC``."""
         loc, scale = (tensordict.get(key) for key in self.in_keys)
-        normal = SynergyNormal(loc, scale, self.basis)
+        normal = RotatedNormal(loc, scale, self.basis)
         action = loc
         if exploration_type() not in (ExplorationType.DETERMINISTIC, ExplorationType.MODE, ExplorationType.MEAN):
             action = normal.displace(self._next_noise(torch.randn_like(loc)))

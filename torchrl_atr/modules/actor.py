@@ -10,7 +10,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase, TensorDictSequ
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
 
-from torchrl_atr.modules.action_noise import SynergyNormal
+from torchrl_atr.modules.action_noise import RotatedNormal
 from torchrl_atr.modules.exploration import Exploration
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
@@ -146,7 +146,7 @@ def make_actor(
         action (NestedKey): what is written, with ``<action>_log_prob`` beside it.
 
     Returns:
-        ProbabilisticActor: a Gaussian policy, a :class:`~torchrl_atr.modules.SynergyNormal` along the directions of the
+        ProbabilisticActor: a Gaussian policy, a :class:`~torchrl_atr.modules.RotatedNormal` along the directions of the
             exploration.
 
     Examples:
@@ -160,7 +160,7 @@ def make_actor(
         TensorDictSequential(*front, mean, spread),
         in_keys=["loc", "scale"],
         out_keys=[action],
-        distribution_class=SynergyNormal,
+        distribution_class=RotatedNormal,
         distribution_kwargs={"basis": exploration.basis},
         return_log_prob=True,
     )

@@ -23,7 +23,7 @@ class Exploration(nn.Module):
             action. Defaults to 0.3.
         min_std (float): floor, in units of the action. Defaults to 0.05.
         basis (Tensor, optional): directions of exploration, (A, A), orthonormal columns, such as
-            :func:`~torchrl_atr.modules.leg_synergies`. None, the default, explores each action by itself.
+            :func:`~torchrl_atr.modules.hadamard_leg_basis`. None, the default, explores each action by itself.
 
     Attributes:
         raw (Parameter): what is learned, (A,).
@@ -84,7 +84,7 @@ class Exploration(nn.Module):
         self.raw.clamp_(max=math.log(math.expm1(ceiling - self.min_std)))
 
 
-def leg_synergies(joints: int = 3) -> Tensor:
+def hadamard_leg_basis(joints: int = 3) -> Tensor:
     """Return orthonormal directions in which four legs move together or against each other.
 
     The columns are the four Hadamard patterns over the legs (common; then two legs against two, in three ways) for each
@@ -98,7 +98,7 @@ def leg_synergies(joints: int = 3) -> Tensor:
         Tensor: (4 * joints, 4 * joints), orthonormal columns.
 
     Examples:
-        >>> leg_synergies(1)[:, 0].tolist()
+        >>> hadamard_leg_basis(1)[:, 0].tolist()
         [0.5, 0.5, 0.5, 0.5]
     """
     patterns = torch.as_tensor(hadamard(4), dtype=torch.get_default_dtype()) / 2
@@ -122,6 +122,7 @@ def check_basis(basis: Tensor, actions: int) -> Tensor:
     basis = basis.to(torch.get_default_dtype())
     if basis.shape != (actions, actions) or not torch.allclose(basis.T @ basis, torch.eye(actions), atol=1e-5):
         raise ValueError(
-            f"basis needs {actions} orthonormal columns of {actions}, got {tuple(basis.shape)}; leg_synergies() is one."
+            f"basis needs {actions} orthonormal columns of {actions}, got {tuple(basis.shape)}; hadamard_leg_basis() is "
+            "one."
         )
     return basis

@@ -11,9 +11,9 @@ from tensordict import NestedKey
 class NetworkKeys:
     """Names of the entries that networks and loss meet on; rename any of them for an env with its own names.
 
-    ``dead_reckoned_velocity`` and ``outlook`` (what tracking will be like) are read only where
+    ``dead_reckoned_velocity`` and ``tracking_forecast`` (what tracking will be like) are read only where
     :func:`~torchrl_atr.modules.make_networks` is told so: ``estimator_inputs=[keys.dead_reckoned_velocity]`` and
-    ``critic_inputs=[keys.outlook]``.
+    ``critic_inputs=[keys.tracking_forecast]``.
 
     Examples:
         >>> NetworkKeys(observation=("agent", "obs")).observation
@@ -25,7 +25,7 @@ class NetworkKeys:
     dead_reckoned_velocity: NestedKey = "dead_reckoned_velocity"
     intrinsic: NestedKey = ("privileged", "intrinsic")
     extrinsic: NestedKey = ("privileged", "extrinsic")
-    outlook: NestedKey = ("privileged", "outlook")
+    tracking_forecast: NestedKey = ("privileged", "tracking_forecast")
     latent: NestedKey = ("latent", "intrinsic")
     intrinsic_estimate: NestedKey = ("estimate", "intrinsic")
     extrinsic_estimate: NestedKey = ("estimate", "extrinsic")

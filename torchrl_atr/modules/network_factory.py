@@ -64,7 +64,7 @@ def make_networks(
         critic_cells (sequence of int): hidden widths of the critic.
         privileged_critic (bool): whether the critic reads both privileged entries beside the observation (reading A20).
         critic_inputs (sequence of NestedKey): entries that the critic reads in addition, such as
-            ``[("privileged", "outlook")]``. Defaults to none.
+            ``[("privileged", "tracking_forecast")]``. Defaults to none.
         reflections (mapping of NestedKey to Tensor, optional): how each entry's mirror image is made, (D, D) for the
             observation, the privileged entries, the further inputs and the action, such as
             :attr:`~torchrl_atr.envs.RidingEnv.reflections`. Encoder, actor and critic are then symmetric by

@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl_atr._compilation import CudaGraph
 
 
-class OnDevice(TensorDictModuleBase):
+class DeviceBridge(TensorDictModuleBase):
     """Runs a module on its own device for data on the CPU, e.g. a policy for TorchRL's ``Collector``.
 
     Only what the module reads goes there, from pinned memory and without waiting; only what it writes comes back, which
@@ -26,7 +26,7 @@ class OnDevice(TensorDictModuleBase):
     Examples:
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule
-        >>> policy = OnDevice(TensorDictModule(torch.nn.Linear(3, 2), ["observation"], ["action"]), "cpu")
+        >>> policy = DeviceBridge(TensorDictModule(torch.nn.Linear(3, 2), ["observation"], ["action"]), "cpu")
         >>> policy(TensorDict(observation=torch.zeros(4, 3), batch_size=[4]))["action"].shape
         torch.Size([4, 2])
     """

@@ -21,7 +21,7 @@ from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import Exploration, NetworkKeys, RidingNetworks, correlate, leg_synergies, make_networks
+from torchrl_atr.modules import Exploration, NetworkKeys, RidingNetworks, correlate, hadamard_leg_basis, make_networks
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.sizes import estimator_sizes
 from torchrl_atr.objectives import ROAClipPPOLoss
@@ -31,14 +31,14 @@ from torchrl_atr.training.settings import ExplorationConfig
 
 TOGETHER = 10
 """Time limits are looked at in every so many steps, a divisor of the default recipe's 1000."""
-LOADED: dict[str, Any] = {"compiled": False, "stagger": 0, "stored_once": False}
+LOADED: dict[str, Any] = {"compiled": False, "stagger": 0, "compact_storage": False}
 """Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
 TASK_ONLY: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "pushes": False}
 """Arguments of tasks without what belongs to training only."""
 DEPLOYED: dict[str, Any] = {
     **LOADED,
     **TASK_ONLY,
-    "runaway_margin": None,
+    "overspeed_margin": None,
     "max_steps": 2**31 - 1,
     "failed_episode_replay": 0.0,
     "grid": None,
@@ -77,8 +77,8 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "window": round(config.curriculum.command_seconds / CONTROL_DT),
         "thresholds": (config.curriculum.tracking_threshold,) * 2,
         "score_from": round(config.curriculum.score_from_seconds / CONTROL_DT),
-        "stored_once": True,
-        "runaway_margin": config.env.overspeed_margin or None,
+        "compact_storage": True,
+        "overspeed_margin": config.env.overspeed_margin or None,
         "grid": trained,
     }
     arguments |= {name: value for name, value in overrides.items() if name not in TASK_ONLY}
@@ -109,7 +109,9 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
     exploration, output_map = _exploration(config.exploration, env.action_spec.shape[-1])
     critic_inputs: list[NestedKey] = []
     if config.ppo.privileged_critic:
-        critic_inputs = _optional("ppo.tracking_forecast", config.ppo.tracking_forecast, NetworkKeys.outlook, spec)
+        critic_inputs = _optional(
+            "ppo.tracking_forecast", config.ppo.tracking_forecast, NetworkKeys.tracking_forecast, spec
+        )
     return make_networks(
         spec,
         env.action_spec,
@@ -133,7 +135,7 @@ def _exploration(config: ExplorationConfig, actions: int) -> tuple[Exploration, 
     """Return the exploration, and what makes the actor's outputs move its directions."""
     if not config.leg_patterns:
         return Exploration(actions, config.init_std, config.min_std), None
-    basis = leg_synergies()
+    basis = hadamard_leg_basis()
     alike = len(basis) // 4
     init_std = [config.init_std] * alike + [config.relative_std] * (len(basis) - alike)
     return Exploration(len(basis), init_std, config.min_std, basis), _output_map(init_std, basis)

@@ -21,7 +21,7 @@ from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._errors import UserError, first_line
 from torchrl_atr._torchrl_private import carried_root
-from torchrl_atr.modules import OnDevice
+from torchrl_atr.modules import DeviceBridge
 from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
 
@@ -238,7 +238,7 @@ def _for_cpu_data(policy: TensorDictModuleBase, config: TrainConfig) -> Callable
     return (
         policy
         if config.compute.device == "cpu"
-        else OnDevice(policy, config.compute.device, config.captures_graphs).forward
+        else DeviceBridge(policy, config.compute.device, config.captures_graphs).forward
     )
 
 

@@ -135,8 +135,8 @@ class Learner:
             batch: from a collector that ran ``networks.rollout_policy(config.roa.act_source)``.
 
         Returns:
-            Means over the iteration: losses, KL divergence, learning rate, estimator errors; ``chatter``, the root mean
-            square of the mean actions' changes from step to step; ``skipped_steps``, the optimiser steps left out so
+            Means over the iteration: losses, KL divergence, learning rate, estimator errors; ``action_rate_rms``, the
+            root mean square of the mean actions' changes from step to step; ``skipped_steps``, the optimiser steps left out so
             far because they were not finite.
 
         Raises:
@@ -149,7 +149,7 @@ class Learner:
             batch = with_factors(batch, self._reward_factors)
             batch = self.advantage(batch)
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
-            chatter = (batch["loc"] - batch["previous_mean"]).square().mean().sqrt()
+            action_rate = (batch["loc"] - batch["previous_mean"]).square().mean().sqrt()
         flat = batch.reshape(-1)
         if self.config.roa.act_source == "privileged":
             self._record_latent_estimates(flat)
@@ -160,7 +160,7 @@ class Learner:
         self.networks.update_normalizers(flat)
         self._averaged.update_parameters(self.networks)
         metrics = {**self._means("policy", policy), **self._means("estimators", adaptation)}
-        metrics |= {"learning_rate": self.schedule.get_last_lr()[0], "chatter": float(chatter)}
+        metrics |= {"learning_rate": self.schedule.get_last_lr()[0], "action_rate_rms": float(action_rate)}
         return {**metrics, "skipped_steps": float(self.guard.skipped)}
 
     def _record_latent_estimates(self, flat: TensorDictBase) -> None:

@@ -49,7 +49,7 @@ _COLUMNS = (
     _Column("latent_error", "{:.3f}", "latent", "error", 7),
     _Column("extrinsic_error", "{:.3f}", "extrin", "error", 7),
     _Column("std", "{:.3f}", "act", "std", 6),
-    _Column("chatter", "{:.3f}", "action", "rms", 7),
+    _Column("action_rate_rms", "{:.3f}", "action", "rms", 7),
     _Column("kl_approx", "{:.4f}", "KL", "", 8),
     _Column("skipped_steps", "{:.0f}", "skip", "steps", 6),
 )

@@ -48,7 +48,7 @@ def standing(robot: RobotSpec) -> tuple[RidingEnv, RidingState]:
     for _ in range(50):
         env.engine.step(torch.tensor([robot.q0]))
     env.engine.forward()
-    return env, env.runner.terms.reader.read()
+    return env, env.runner.terms.extractor.read()
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -14,7 +14,7 @@ from torchrl_atr.envs.physics import SubstepHook
 from torchrl_atr.envs.tasks import TASKS, CommandSpace, Disturbance, make_task, riding, walking
 from torchrl_atr.envs.tasks.events import push_robot, stand
 from torchrl_atr.envs.tasks.riding.drive_law import DriveHook
-from torchrl_atr.envs.tasks.riding.state import RidingStateReader
+from torchrl_atr.envs.tasks.riding.state import RidingStateExtractor
 
 WALKING = walking("a1")
 
@@ -41,7 +41,7 @@ def make(task):
         ({"readings": "literal"}, "readings='literal'; give Interpretation"),
         ({"reset": 3}, "reset=3 cannot be called"),
         ({"hook": 3}, "hook=3 cannot be called; give a subclass of SubstepHook"),
-        ({"state_reader": 3}, "state_reader=3; give a subclass of StateReader"),
+        ({"state_extractor": 3}, "state_extractor=3; give a subclass of StateExtractor"),
         ({"reward_schedule": {"gate": float}}, "reward_schedule names 'gate', which is no reward term"),
         ({"reward_schedule": {"gait": 2.0}}, "the reward_schedule of 'gait' is 2.0; give a function"),
     ],
@@ -142,7 +142,7 @@ def short(engine):
         ({"hook": clashing}, "calls an entry of its state 'qpos', as the engine does"),
         ({"hook": short}, "its state 'clock' must be a tensor of 2 rows"),
         ({"hook": DriveHook}, "riding needs a Transporter to stand on, not 'flat_ground'"),
-        ({"state_reader": RidingStateReader}, "a RidingState needs hook=DriveHook, not SubstepHook"),
+        ({"state_extractor": RidingStateExtractor}, "a RidingState needs hook=DriveHook, not SubstepHook"),
         ({"memory": {**WALKING.memory, "steps": WALKING.memory["phase"]}}, "the memory term 'steps' has the name of"),
         ({"memory": {**WALKING.memory, "qpos": WALKING.memory["phase"]}}, "the memory term 'qpos' has the name of"),
     ],

@@ -25,7 +25,7 @@ def test_only_rows_beyond_the_frontier_and_the_margin_end():
 
 
 def test_in_the_stack_overspeed_ends_its_own_episode():
-    env = make_riding_env(num_envs=3, num_threads=1, seed=0, runaway_margin=(2.0, 2.0))
+    env = make_riding_env(num_envs=3, num_threads=1, seed=0, overspeed_margin=(2.0, 2.0))
     td = env.reset()
     env.base_env.engine.hook.speeds[1, 0] = 4.0  # of the second of three
     td["action"] = torch.zeros(env.action_spec.shape)

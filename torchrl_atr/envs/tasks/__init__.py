@@ -8,7 +8,7 @@ from torchrl_atr.envs.tasks.observation_terms import ObservationError, Observati
 from torchrl_atr.envs.tasks.registry import TASKS, make_task
 from torchrl_atr.envs.tasks.reward_terms import RewardError, RewardTerm
 from torchrl_atr.envs.tasks.riding import RIDING_REWARDS, riding
-from torchrl_atr.envs.tasks.state import QuadrupedState, StateReader
+from torchrl_atr.envs.tasks.state import QuadrupedState, StateExtractor
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
 from torchrl_atr.envs.tasks.walking import WALKING_REWARDS, walking
 
@@ -28,7 +28,7 @@ __all__ = [
     "QuadrupedState",
     "RewardError",
     "RewardTerm",
-    "StateReader",
+    "StateExtractor",
     "StepContext",
     "Task",
     "make_task",

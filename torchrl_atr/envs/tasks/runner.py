@@ -78,7 +78,7 @@ class EpisodeRunner:
         self.joints = len(self.scene.robot.joints)
         n = engine.num_envs
         self._nominal = torch.tensor(self.scene.robot.q0, dtype=torch.float64)
-        self._reader = task.state_reader(engine)
+        self._reader = task.state_extractor(engine)
         self.steps = torch.zeros(n, dtype=torch.long)
         self.failed, self.moving = torch.zeros(2, n, dtype=torch.bool)
         self.previous_action = torch.zeros(n, self.joints, dtype=torch.float32)

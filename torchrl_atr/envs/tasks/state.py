@@ -18,7 +18,7 @@ CONTACT_THRESHOLD = 1.0
 GRAVITY = 9.81
 Rows = Tensor | slice
 """Which robots of a batch: row numbers, or all of them."""
-Readout = dict[str, Tensor]
+SimulationSnapshot = dict[str, Tensor]
 """What an engine holds of n robots after a control step, float32, as MuJoCo and the engine's hook have it."""
 
 
@@ -68,7 +68,7 @@ class QuadrupedState:
         self.body_acceleration = rotate_back(self.rotation, self.acceleration)
 
 
-class StateReader:
+class StateExtractor:
     """Reads a :class:`QuadrupedState` out of an engine, with differences to the previous reading.
 
     A task with a state of its own subclasses it: :meth:`gather` for more of the engine's tensors, :meth:`velocities_of`
@@ -111,7 +111,7 @@ class StateReader:
         state, self.velocities = self.interpret(self.gather(), self.velocities)
         return state
 
-    def gather(self, rows: Rows = slice(None)) -> Readout:
+    def gather(self, rows: Rows = slice(None)) -> SimulationSnapshot:
         """Return the engine's tensors of ``rows``, copied and cast once."""
         engine = self.engine
         return {
@@ -122,35 +122,35 @@ class StateReader:
             "torque_velocity": single(engine.torque_velocity[rows]),
         }
 
-    def velocities_of(self, readout: Readout) -> Tensor:
+    def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
         """Return what the next state differentiates, (n, V): v_B and q̇ first."""
-        qvel = readout["qvel"]
+        qvel = snapshot["qvel"]
         return torch.cat([qvel[:, self._root_dof], qvel[:, self._joint_dof]], -1)
 
-    def interpret(self, readout: Readout, previous: Tensor | None) -> tuple[QuadrupedState, Tensor]:
-        """Return the state that a readout shows, and its velocities; touches nothing else.
+    def interpret(self, snapshot: SimulationSnapshot, previous: Tensor | None) -> tuple[QuadrupedState, Tensor]:
+        """Return the state that a snapshot shows, and its velocities; touches nothing else.
 
         Args:
-            readout: of n robots.
+            snapshot: of n robots.
             previous: their velocities a control step ago, to which accelerations are differences; None: they are zero.
         """
-        now = self.velocities_of(readout)
+        now = self.velocities_of(snapshot)
         rates = torch.zeros_like(now) if previous is None else (now - previous) / CONTROL_DT
-        return self.state_type(**self.parts(readout, now, rates)), now
+        return self.state_type(**self.parts(snapshot, now, rates)), now
 
-    def foot_positions(self, readout: Readout) -> Tensor:
+    def foot_positions(self, snapshot: SimulationSnapshot) -> Tensor:
         """Return where the feet are, (n, 4, 3)."""
-        return _by_foot(readout["sensed"][:, self._sensors["foot_position"]], self._foot_sizes, torch.mean)
+        return _by_foot(snapshot["sensed"][:, self._sensors["foot_position"]], self._foot_sizes, torch.mean)
 
-    def parts(self, readout: Readout, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
+    def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
         """Return the fields of the state.
 
         Args:
-            readout: of n robots.
+            snapshot: of n robots.
             velocities: :meth:`velocities_of` it, (n, V).
             rates: their derivatives, (n, V).
         """
-        qpos, qvel, sensed, sensors = readout["qpos"], readout["qvel"], readout["sensed"], self._sensors
+        qpos, qvel, sensed, sensors = snapshot["qpos"], snapshot["qvel"], snapshot["sensed"], self._sensors
         joints = qpos[:, self._joint_qpos]
         end = 3 + joints.shape[-1]
         rotation = matrix_from_quaternion(qpos[:, self._root_qpos.stop : self._root_qpos.stop + 4])
@@ -166,9 +166,9 @@ class StateReader:
             "joint_position": joints,
             "joint_velocity": velocities[:, 3:end],
             "joint_acceleration": rates[:, 3:end],
-            "torque": readout["torque"][:, self._actuators],
-            "torque_velocity": readout["torque_velocity"],
-            "foot_position": self.foot_positions(readout),
+            "torque": snapshot["torque"][:, self._actuators],
+            "torque_velocity": snapshot["torque_velocity"],
+            "foot_position": self.foot_positions(snapshot),
             "foot_force": foot_force,
             "other_force": -sensed[:, sensors["robot_force"]] - foot_force.sum(-2),
             "com": sensed[:, sensors["com"]],

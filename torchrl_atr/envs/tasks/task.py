@@ -22,7 +22,7 @@ from torchrl_atr.envs.tasks.memory_terms import MemoryTerm
 from torchrl_atr.envs.tasks.mirrors import Mirror
 from torchrl_atr.envs.tasks.observation_terms import Group
 from torchrl_atr.envs.tasks.reward_terms import RewardTerm
-from torchrl_atr.envs.tasks.state import StateReader
+from torchrl_atr.envs.tasks.state import StateExtractor
 from torchrl_atr.envs.tasks.task_checks import check_components, check_task
 from torchrl_atr.envs.transforms.grid import CommandGrid
 
@@ -79,7 +79,7 @@ class Task:
         disturbances: what happens again and again, by name.
         memory: what is carried from step to step, by name.
         tracking: reward terms that a command curriculum scores, one for each component of the command.
-        state_reader: what makes a state of an engine's tensors.
+        state_extractor: what makes a state of an engine's tensors.
         hook: makes what acts before every substep, of an engine; None for nothing.
         readings: how the paper's open questions are answered.
         reward_schedule: factors by which a learner multiplies terms of the reward, by the term's name, as functions of
@@ -113,7 +113,7 @@ class Task:
     disturbances: Mapping[str, Disturbance] = field(default_factory=dict)
     memory: Mapping[str, MemoryTerm] = field(default_factory=dict)
     tracking: Sequence[str] = ()
-    state_reader: type[StateReader] = StateReader
+    state_extractor: type[StateExtractor] = StateExtractor
     hook: Callable[[Engine], SubstepHook] | None = None
     readings: Interpretation = field(default_factory=Interpretation)
     reward_schedule: Mapping[str, Callable[[float], float]] = field(default_factory=dict)

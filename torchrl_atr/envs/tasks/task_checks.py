@@ -14,7 +14,7 @@ from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.models.support import Support
 from torchrl_atr.envs.tasks.events import Disturbance, InitialState
-from torchrl_atr.envs.tasks.state import StateReader
+from torchrl_atr.envs.tasks.state import StateExtractor
 
 if TYPE_CHECKING:
     from torchrl_atr.envs.tasks.task import Task
@@ -59,8 +59,8 @@ def check_task(task: Task) -> None:
         raise _error(task, f"reset={task.reset!r} cannot be called; give a function")
     if not (task.hook is None or callable(task.hook)):
         raise _error(task, f"hook={task.hook!r} cannot be called; give a subclass of SubstepHook, or None")
-    if not (isinstance(task.state_reader, type) and issubclass(task.state_reader, StateReader)):
-        raise _error(task, f"state_reader={task.state_reader!r}; give a subclass of StateReader")
+    if not (isinstance(task.state_extractor, type) and issubclass(task.state_extractor, StateExtractor)):
+        raise _error(task, f"state_extractor={task.state_extractor!r}; give a subclass of StateExtractor")
 
 
 def check_components(names: Sequence[str], units: Sequence[str]) -> None:

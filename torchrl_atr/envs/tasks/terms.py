@@ -18,7 +18,7 @@ from torchrl_atr.envs.tasks.finite import all_finite
 from torchrl_atr.envs.tasks.observation_terms import Observations
 from torchrl_atr.envs.tasks.reward_terms import RewardFunction
 from torchrl_atr.envs.tasks.sensor_errors import Draw, GroupErrors, columns_of
-from torchrl_atr.envs.tasks.state import QuadrupedState, Readout, StateReader
+from torchrl_atr.envs.tasks.state import QuadrupedState, SimulationSnapshot, StateExtractor
 from torchrl_atr.envs.tasks.task import Task
 
 Observed = dict[NestedKey, Tensor]
@@ -55,7 +55,7 @@ class TaskTerms:
 
     Args:
         task: whose terms they are.
-        reader: of states.
+        extractor: of states.
         compiled: whether :meth:`first` and :meth:`evaluate` are compiled (``compile_methods``).
 
     Attributes:
@@ -68,13 +68,15 @@ class TaskTerms:
         InputError: names a term that cannot be used.
     """
 
-    def __init__(self, task: Task, reader: StateReader, compiled: bool = False) -> None:
-        self.task, self.reader, self.compiled = task, reader, compiled
-        self.scene = reader.engine.scene
+    def __init__(self, task: Task, extractor: StateExtractor, compiled: bool = False) -> None:
+        self.task, self.extractor, self.compiled = task, extractor, compiled
+        self.scene = extractor.engine.scene
         self.joints = len(self.scene.robot.joints)
-        n = reader.engine.num_envs
+        n = extractor.engine.num_envs
         idle = torch.zeros(n, self.joints, dtype=torch.float32)
-        context = self._context(reader.read(), torch.zeros(n, len(task.command), dtype=torch.float32), idle, idle, {})
+        context = self._context(
+            extractor.read(), torch.zeros(n, len(task.command), dtype=torch.float32), idle, idle, {}
+        )
         memory_terms.check(task.memory, context)
         context.memory = self.no_memory = memory_terms.started(task.memory, context)
         for name, termination in task.terminations.items():
@@ -124,13 +126,13 @@ class TaskTerms:
         )
 
     def first(
-        self, readout: Readout, command: Tensor, x_int: Tensor, errors: Errors
+        self, snapshot: SimulationSnapshot, command: Tensor, x_int: Tensor, errors: Errors
     ) -> tuple[Observed, Tensor, Memory, Observed]:
         """Return observations, velocities, memory and exact values of groups with errors, of episodes that start.
 
         A function of the arguments alone, which can be compiled.
         """
-        state, velocities = self.reader.interpret(readout, None)
+        state, velocities = self.extractor.interpret(snapshot, None)
         action = torch.zeros(len(x_int), self.joints, dtype=torch.float32)
         context = self._context(state, command, action, action, {}, errors)
         context.memory = memory = memory_terms.started(self.task.memory, context)
@@ -139,7 +141,7 @@ class TaskTerms:
 
     def evaluate(
         self,
-        readout: Readout,
+        snapshot: SimulationSnapshot,
         velocities: Tensor,
         action: Tensor,
         previous_action: Tensor,
@@ -153,7 +155,7 @@ class TaskTerms:
 
         A function of the arguments alone, which can be compiled.
         """
-        state, velocities = self.reader.interpret(readout, velocities)
+        state, velocities = self.extractor.interpret(snapshot, velocities)
         context = self._context(state, command, action, previous_action, memory, errors)
         context.terminated = diverged
         context.memory = memory = memory_terms.updated(self.task.memory, context)
@@ -170,7 +172,7 @@ class TaskTerms:
 
     def observe(self, command: Tensor, action: Tensor, memory: Memory, x_int: Tensor) -> Observed:
         """Return what all robots would observe now with exact sensors, by key, (N, features) each, raw SI units."""
-        return self._observed(self._context(self.reader.read(), command, action, action, memory), x_int)[0]
+        return self._observed(self._context(self.extractor.read(), command, action, action, memory), x_int)[0]
 
     def _observed(self, context: StepContext, x_int: Tensor) -> tuple[Observed, Observed]:
         """Return what is observed, and the exact values of the groups that are observed with errors."""

@@ -1,19 +1,19 @@
 """Transforms of a task's environment: the command curriculum, the observation history, and their order."""
 
+from torchrl_atr.envs.transforms.compact_storage import CompactStorage
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.history import ObservationHistory
-from torchrl_atr.envs.transforms.once import StoredOnce
 from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
 from torchrl_atr.envs.transforms.stack import task_transforms
-from torchrl_atr.envs.transforms.stagger import StaggeredCounter
+from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter
 
 __all__ = [
     "CommandCurriculum",
     "CommandGrid",
+    "CompactStorage",
     "ObservationHistory",
     "OverspeedTermination",
-    "StaggeredCounter",
-    "StoredOnce",
+    "RandomizedStepCounter",
     "task_transforms",
 ]

@@ -15,8 +15,8 @@ from torchrl.envs.transforms import Transform
 from torchrl_atr._checks import check_flag, check_key, check_whole
 from torchrl_atr._inference import keeps_normal_tensors
 
-_ROOM = 4
-"""Steps that a reel lasts. With many robots some begin anew at nearly every step, which takes a new one anyway."""
+_SPARE_FRAMES = 4
+"""Steps that a buffer lasts. With many robots some begin anew at nearly every step, which takes a new one anyway."""
 
 
 class ObservationHistory(Transform):
@@ -44,7 +44,7 @@ class ObservationHistory(Transform):
         10
     """
 
-    _reel: Tensor | None
+    _buffer: Tensor | None
 
     def __init__(
         self,
@@ -62,9 +62,9 @@ class ObservationHistory(Transform):
         super().__init__(in_keys=[in_key], out_keys=[out_key])
         self.length = length
         self.include_current = include_current
-        # Frames, o_{t-H} ... o_t the last ones before _end, and room for more, (*B, H + 1 + _ROOM, D). Each is written
-        # once: the emitted histories are views, and to move all frames at every step takes longer than all else here.
-        self.register_buffer("_reel", None, persistent=False)
+        # Frames, o_{t-H} ... o_t the last ones before _end, and room for more, (*B, H + 1 + _SPARE_FRAMES, D). Each is
+        # written once: the emitted histories are views, and to move all frames at every step takes longer than all else here.
+        self.register_buffer("_buffer", None, persistent=False)
         self._end = 0
 
     @keeps_normal_tensors
@@ -80,21 +80,21 @@ class ObservationHistory(Transform):
         else:
             self._new_reel(before)
             begins = mask.reshape(shape[:-2])
-            assert self._reel is not None
-            self._reel[begins, : self._end] = first[begins]
+            assert self._buffer is not None
+            self._buffer[begins, : self._end] = first[begins]
         return self._emit(tensordict_reset)
 
     @keeps_normal_tensors
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         before = self._frames
-        if before is None or self._reel is None:
+        if before is None or self._buffer is None:
             raise RuntimeError("ObservationHistory has no history before the first reset; call env.reset() first")
         newest = self._observation(next_tensordict)
-        if newest.requires_grad or self._end == self._reel.shape[-2]:
+        if newest.requires_grad or self._end == self._buffer.shape[-2]:
             self._new_reel(torch.cat([before[..., 1:, :], newest], -2))
         else:
             # data: what autograd keeps of the earlier frames has not changed
-            self._reel.data[..., self._end : self._end + 1, :] = newest
+            self._buffer.data[..., self._end : self._end + 1, :] = newest
             self._end += 1
         return self._emit(next_tensordict)
 
@@ -135,21 +135,21 @@ class ObservationHistory(Transform):
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`; frames of another shape are dropped at the next reset."""
         frames, device = state["frames"], self.parent.device if self.parent is not None else None
-        self._reel, self._end = None, 0
+        self._buffer, self._end = None, 0
         if frames is not None:
             self._new_reel(frames.to(device or frames.device, copy=True))
 
     @property
     def _frames(self) -> Tensor | None:
         """o_{t-H} ... o_t, (*B, H + 1, D); None before the first reset."""
-        return None if self._reel is None else self._reel[..., self._end - self.length - 1 : self._end, :]
+        return None if self._buffer is None else self._buffer[..., self._end - self.length - 1 : self._end, :]
 
     def _new_reel(self, frames: Tensor) -> None:
-        """Begin a reel with o_{t-H} ... o_t, (*B, H + 1, D), and room for more unless a graph holds them."""
-        self._reel, self._end = frames, frames.shape[-2]
+        """Begin a buffer with o_{t-H} ... o_t, (*B, H + 1, D), and room for more unless a graph holds them."""
+        self._buffer, self._end = frames, frames.shape[-2]
         if not frames.requires_grad:
-            self._reel = frames.new_empty(*frames.shape[:-2], self._end + _ROOM, frames.shape[-1])
-            self._reel[..., : self._end, :] = frames
+            self._buffer = frames.new_empty(*frames.shape[:-2], self._end + _SPARE_FRAMES, frames.shape[-1])
+            self._buffer[..., : self._end, :] = frames
 
     def _observation(self, tensordict: TensorDictBase) -> Tensor:
         observation = tensordict.get(self.in_keys[0], None)
@@ -163,6 +163,6 @@ class ObservationHistory(Transform):
 
     def _emit(self, tensordict: TensorDictBase) -> TensorDictBase:
         end = self._end if self.include_current else self._end - 1
-        assert self._reel is not None
-        shown = self._reel[..., end - self.length : end, :]
+        assert self._buffer is not None
+        shown = self._buffer[..., end - self.length : end, :]
         return tensordict.set(self.out_keys[0], shown)

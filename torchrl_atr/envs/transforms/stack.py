@@ -8,11 +8,11 @@ from typing import Any
 from torchrl.envs.transforms import CatTensors, Compose, RewardSum, StepCounter
 
 from torchrl_atr._checks import check_flag, check_pair, check_whole
+from torchrl_atr.envs.transforms.compact_storage import CompactStorage
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.history import ObservationHistory
-from torchrl_atr.envs.transforms.once import StoredOnce
 from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
-from torchrl_atr.envs.transforms.stagger import StaggeredCounter
+from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter
 
 
 def task_transforms(
@@ -22,9 +22,9 @@ def task_transforms(
     include_current: bool = False,
     max_steps: int = 1000,
     stagger: int = 0,
-    runaway_margin: tuple[float, float] | None = None,
-    runaway_penalty: float = 0.0,
-    stored_once: bool = False,
+    overspeed_margin: tuple[float, float] | None = None,
+    overspeed_penalty: float = 0.0,
+    compact_storage: bool = False,
     **curriculum: Any,
 ) -> Compose:
     """Command, observation, history, time limit and episode reward, in the order that makes them agree.
@@ -40,11 +40,11 @@ def task_transforms(
         include_current: Whether the history ends with o_t (reading A19).
         max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
         stagger: If positive, the first episodes end at different times, and the limit is looked at in every so many
-            steps: a :class:`StaggeredCounter`.
-        runaway_margin: If given, of a :class:`OverspeedTermination` behind the curriculum, m/s and rad/s.
-        runaway_penalty: Added to the reward of a runaway.
-        stored_once: Whether collected steps hold the history at the root alone, and reward terms in ``next`` alone:
-            a :class:`StoredOnce` behind all others.
+            steps: a :class:`RandomizedStepCounter`.
+        overspeed_margin: If given, of a :class:`OverspeedTermination` behind the curriculum, m/s and rad/s.
+        overspeed_penalty: Added to the reward where an episode ends for its speed.
+        compact_storage: Whether collected steps hold the history at the root alone, and reward terms in ``next`` alone:
+            a :class:`CompactStorage` behind all others.
         **curriculum: Further arguments of :class:`CommandCurriculum`, such as ``window``, ``grid`` or
             ``seed``.
 
@@ -56,18 +56,18 @@ def task_transforms(
         ['CommandCurriculum', 'CatTensors', 'ObservationHistory', 'StepCounter', 'RewardSum']
     """
     max_steps, stagger = check_whole("max_steps", max_steps, low=1), check_whole("stagger", stagger)
-    check_flag("stored_once", stored_once)
+    check_flag("compact_storage", compact_storage)
     check_whole("history_length", history_length, low=1)
-    if runaway_margin is not None:
-        check_pair("runaway_margin", runaway_margin, "two positive numbers (m/s, rad/s)")
+    if overspeed_margin is not None:
+        check_pair("overspeed_margin", overspeed_margin, "two positive numbers (m/s, rad/s)")
     command = CommandCurriculum(tracking_max, **curriculum)
-    guards = [] if runaway_margin is None else [OverspeedTermination(command, runaway_margin, runaway_penalty)]
+    guards = [] if overspeed_margin is None else [OverspeedTermination(command, overspeed_margin, overspeed_penalty)]
     return Compose(
         command,
         *guards,
         CatTensors(["proprio", command.command_key], "observation", sort=False, del_keys=False),
         ObservationHistory(history_length, include_current=include_current),
-        StaggeredCounter(max_steps, curriculum.get("seed"), stagger) if stagger else StepCounter(max_steps),
+        RandomizedStepCounter(max_steps, curriculum.get("seed"), stagger) if stagger else StepCounter(max_steps),
         RewardSum(),
-        *([StoredOnce(at_root=["history"], in_next=["reward_terms"])] if stored_once else []),
+        *([CompactStorage(at_root=["history"], in_next=["reward_terms"])] if compact_storage else []),
     )

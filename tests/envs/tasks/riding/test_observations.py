@@ -156,7 +156,7 @@ def test_contacts_and_forces_are_those_on_the_feet():
     env.engine.qpos[0, env.scene.layout.joint_qpos[4]] += 0.3  # the rear right thigh lifts its foot
     env.engine.qvel[:] = 0.0
     env.engine.forward()
-    state = env.runner.terms.reader.read()
+    state = env.runner.terms.extractor.read()
     assert state.contacts.tolist() == [[1, 0, 1, 1]]
     assert (state.foot_force[0, [0, 2, 3], 2] > 1.0).all()  # up, on the feet
     assert state.other_force.norm() < 1e-4

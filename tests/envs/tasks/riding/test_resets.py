@@ -47,12 +47,12 @@ def test_limits(make_context, situation, ends):
 def test_a_state_that_is_no_number_ends_the_episode_too(name, value):
     env = RidingEnv(num_envs=2, num_threads=1, seed=0)
     runner, layout = env.runner, env.scene.layout
-    readout = runner.terms.reader.gather()
+    snapshot = runner.terms.extractor.gather()
     column = layout.root_qpos + 1 if name == "root_qpos" else layout.joint_dof[0]
-    readout["qpos" if name == "root_qpos" else "qvel"][1, column] = value
+    snapshot["qpos" if name == "root_qpos" else "qvel"][1, column] = value
     idle, still = torch.zeros(2, 12), torch.zeros(2, dtype=torch.bool)
-    before = runner.terms.reader.velocities, idle, idle, runner.memory
-    outcome, *_ = runner.terms.evaluate(readout, *before, torch.zeros(2, 2), runner.x_int, still, {})
+    before = runner.terms.extractor.velocities, idle, idle, runner.memory
+    outcome, *_ = runner.terms.evaluate(snapshot, *before, torch.zeros(2, 2), runner.x_int, still, {})
     assert outcome.terminated.tolist() == [False, True]
     assert not outcome.finite
 
@@ -64,8 +64,8 @@ def test_the_tilt_limit_is_a_reading(make_context):
 
 def test_displaced_robots_stand_shifted_and_turned_within_the_declared_bounds():
     env = RidingEnv(num_envs=400, num_threads=1, seed=0, displaced_start=0.5, randomization="off")
-    state = env.runner.terms.reader.read()
-    nominal = RidingEnv(num_envs=1, num_threads=1, seed=0, randomization="off").runner.terms.reader.read()
+    state = env.runner.terms.extractor.read()
+    nominal = RidingEnv(num_envs=1, num_threads=1, seed=0, randomization="off").runner.terms.extractor.read()
     moved = (state.relative_position - nominal.relative_position).abs()
     turned = state.relative_yaw[:, 0].abs()
     assert (turned > 1e-6).float().mean().item() == pytest.approx(0.5, abs=0.08)
@@ -82,7 +82,7 @@ def test_displaced_robots_stand_shifted_and_turned_within_the_declared_bounds():
 def test_a_displaced_robot_that_moves_moves_with_the_board():
     env = RidingEnv(num_envs=64, num_threads=1, seed=0, displaced_start=1.0, moving_start=1.0)
     env.reset(env.full_state_spec.zero().set("command", torch.tensor([[2.0, 1.0]]).expand(64, 2).clone()))
-    state = env.runner.terms.reader.read()
+    state = env.runner.terms.extractor.read()
     arm = state.position[:, :2] - state.platform_position[:, :2]
     rigid = state.platform_velocity[:, :2] + state.speeds[:, 1:] * torch.stack([-arm[:, 1], arm[:, 0]], -1)
     torch.testing.assert_close(state.velocity[:, :2], rigid, atol=1e-4, rtol=0)

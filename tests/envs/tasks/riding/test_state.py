@@ -60,11 +60,11 @@ def test_whole_turns_do_not_show_in_the_suite():
 
 def test_within_a_turn_headings_keep_every_bit_of_float32():
     env = RidingEnv(num_envs=1001, seed=0, num_threads=1)
-    reader, column = env.runner.terms.reader, env.scene.support_layout.planar_qpos[2]
+    extractor, column = env.runner.terms.extractor, env.scene.support_layout.planar_qpos[2]
     angles = torch.linspace(-math.pi, math.pi, 1001, dtype=torch.float64)
     env.engine.qpos[:, column] = angles
-    assert torch.equal(reader.gather()["qpos"][:, column], angles.float())
+    assert torch.equal(extractor.gather()["qpos"][:, column], angles.float())
     env.engine.qpos[:, column] = 1e5 * math.tau + angles
-    far = reader.gather()["qpos"][:, column].double()
+    far = extractor.gather()["qpos"][:, column].double()
     torch.testing.assert_close(far.sin(), angles.sin(), atol=1e-6, rtol=0)
     assert far.abs().max() <= math.pi + 1e-6

@@ -22,8 +22,8 @@ def env():
 
 def read(env):
     """The state as it is now, without a change to the differences."""
-    reader = env.runner.terms.reader
-    return reader.interpret(reader.gather(), reader.velocities)[0]
+    extractor = env.runner.terms.extractor
+    return extractor.interpret(extractor.gather(), extractor.velocities)[0]
 
 
 @pytest.mark.parametrize("yaw", [0.0, math.pi / 2, -math.pi / 2, 2.5])
@@ -70,15 +70,15 @@ def test_feet_that_stand_do_not_move_while_the_body_does_and_the_simulation_is_r
     for _ in range(25):
         env.step(STILL.clone())
     env.engine.world_offset[:] = torch.tensor([walked, -walked], dtype=torch.float64)
-    env.runner.terms.reader.forget()
+    env.runner.terms.extractor.forget()
     dof = env.scene.layout.root_dof
     env.engine.qvel[:, dof] += 0.4
     before, fastest = env.engine.world_offset.clone(), 0.0
     for _ in range(8):
-        reader = env.runner.terms.reader
-        previous = reader.velocities.clone()
+        extractor = env.runner.terms.extractor
+        previous = extractor.velocities.clone()
         env.step(STILL.clone())
-        state, _ = reader.interpret(reader.gather(), previous)
+        state, _ = extractor.interpret(extractor.gather(), previous)
         assert (state.contacts == 1).all()
         assert state.foot_velocity.abs().max() < 0.06
         fastest = max(fastest, float(state.speeds[:, 0].min()))
@@ -91,15 +91,15 @@ def test_foot_velocities_are_blind_to_where_the_origin_is(env):
     """The same places in the world, told from an origin 100 m away: what is left is float32's rounding."""
     env.reset()
     env.step(STILL.clone())
-    reader = env.runner.terms.reader
-    here, feet = reader.gather(), reader._sensors["foot_position"]
+    extractor = env.runner.terms.extractor
+    here, feet = extractor.gather(), extractor._sensors["foot_position"]
     moved = {name: value.clone() for name, value in here.items()}
     moved["world_offset"] += 100.0
     moved["sensed"][:, feet].unflatten(-1, (-1, 3))[..., :2] -= 100.0
-    state, _ = reader.interpret(moved, reader.velocities_of(here))
+    state, _ = extractor.interpret(moved, extractor.velocities_of(here))
     assert state.foot_velocity.abs().max() < 2e-3
     moved["sensed"][:, feet] += 0.02 * torch.tensor([1.0, -2.0, 3.0]).repeat(4)
-    state, _ = reader.interpret(moved, reader.velocities_of(here))
+    state, _ = extractor.interpret(moved, extractor.velocities_of(here))
     torch.testing.assert_close(state.foot_velocity, torch.tensor([1.0, -2.0, 3.0]).expand(2, 4, 3), atol=2e-3, rtol=0)
 
 
@@ -110,9 +110,9 @@ def test_a_state_without_the_feet_s_places_starts_their_differences_anew(env):
         env.step(STILL.clone())
     state = env.get_state()
     env.set_state(state.exclude("foot_places"))
-    reader = env.runner.terms.reader
-    torch.testing.assert_close(reader.velocities, reader.velocities_of(reader.gather()))
+    extractor = env.runner.terms.extractor
+    torch.testing.assert_close(extractor.velocities, extractor.velocities_of(extractor.gather()))
     env.set_state(state)
-    assert torch.equal(reader.velocities[:, -12:], state["foot_places"])
+    assert torch.equal(extractor.velocities[:, -12:], state["foot_places"])
     with pytest.raises(ValueError, match="state entry 'foot_places' has shape"):
         env.set_state(state.clone().set("foot_places", torch.zeros(2, 3)))

@@ -63,5 +63,5 @@ def test_clock_and_errors_by_hand():
     image = QuadrupedEnv(walking(), 1, num_threads=1).reflections
     assert image["proprio"][-2:, -2:].tolist() == [[-1, 0], [0, -1]]
     assert image["speeds"].tolist() == [[1, 0], [0, -1]]
-    outlook = image["privileged", "outlook"] @ torch.arange(1.0, 13.0)
-    assert outlook.tolist() == [1, -2, -3, 4, 7, 8, 5, 6, 11, 12, 9, 10]
+    forecast = image["privileged", "tracking_forecast"] @ torch.arange(1.0, 13.0)
+    assert forecast.tolist() == [1, -2, -3, 4, 7, 8, 5, 6, 11, 12, 9, 10]

@@ -24,7 +24,7 @@ from torchrl_atr.envs.tasks.riding.intrinsics import riding_intrinsics
 from torchrl_atr.envs.tasks.riding.observations import observations
 from torchrl_atr.envs.tasks.riding.resets import TERMINATIONS, push, start
 from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS
-from torchrl_atr.envs.tasks.riding.state import RidingStateReader
+from torchrl_atr.envs.tasks.riding.state import RidingStateExtractor
 from torchrl_atr.envs.tasks.sensors import SensorSet, with_sensors
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
 from torchrl_atr.envs.transforms.grid import CommandGrid
@@ -107,7 +107,7 @@ def riding(
         disturbances={} if pushed is None else {"push": Disturbance(partial(push, pushes=pushed), pushed.interval)},
         memory={KEY: velocity},
         tracking=("forward_command", "steering_command"),
-        state_reader=RidingStateReader,
+        state_extractor=RidingStateExtractor,
         hook=DriveHook,
         readings=readings,
         reward_schedule=_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),

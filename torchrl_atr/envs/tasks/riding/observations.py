@@ -65,5 +65,5 @@ def observations(readings: Interpretation, proprio: Group, dead_reckoned: Group)
         "speeds": SPEEDS,
         KEY: dead_reckoned,
         ("privileged", "extrinsic"): extrinsic(readings),
-        ("privileged", "outlook"): {"outlook": ObservationTerm(tracking_forecast, FORECAST_MIRROR)},
+        ("privileged", "tracking_forecast"): {"tracking_forecast": ObservationTerm(tracking_forecast, FORECAST_MIRROR)},
     }

@@ -16,7 +16,7 @@ from torchrl_atr.envs.models.scene import columns
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.riding.drive_law import DriveHook, combination, combine
 from torchrl_atr.envs.tasks.rotations import angular_velocity, matrix_from_euler, rotate_back, wrap
-from torchrl_atr.envs.tasks.state import QuadrupedState, Readout, Rows, StateReader, single
+from torchrl_atr.envs.tasks.state import QuadrupedState, Rows, SimulationSnapshot, StateExtractor, single
 
 
 @dataclass
@@ -52,7 +52,7 @@ class RidingState(QuadrupedState):
         self.relative_yaw = wrap(self.euler[:, 2:] - self.platform_euler[:, 2:])
 
 
-class RidingStateReader(StateReader):
+class RidingStateExtractor(StateExtractor):
     """Reads a :class:`RidingState` out of an engine whose hook is a :class:`DriveHook`."""
 
     state_type = RidingState
@@ -78,36 +78,36 @@ class RidingStateReader(StateReader):
             raise InputError(f"a RidingState needs hook=DriveHook, not {type(hook).__name__}; give the task both")
         return hook
 
-    def gather(self, rows: Rows = slice(None)) -> Readout:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`; the heading, which is unbounded, in [-π, π]."""
-        readout, hook = super().gather(rows), self._hook
+    def gather(self, rows: Rows = slice(None)) -> SimulationSnapshot:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`; the heading, which is unbounded, in [-π, π]."""
+        snapshot, hook = super().gather(rows), self._hook
         heading = self.engine.qpos[rows][:, self._heading]
         # wrapped before the cast: float32 would lose it
-        readout["qpos"][:, self._heading] = heading - 2 * math.pi * (heading / (2 * math.pi)).round()
-        readout["speeds"] = single(hook.speeds[rows])
-        readout["driven_acceleration"] = single(hook.acceleration(rows))
-        return readout
+        snapshot["qpos"][:, self._heading] = heading - 2 * math.pi * (heading / (2 * math.pi)).round()
+        snapshot["speeds"] = single(hook.speeds[rows])
+        snapshot["driven_acceleration"] = single(hook.acceleration(rows))
+        return snapshot
 
-    def velocities_of(self, readout: Readout) -> Tensor:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`; v_P and ω_P follow."""
-        qvel = readout["qvel"]
+    def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`; v_P and ω_P follow."""
+        qvel = snapshot["qvel"]
         planar = qvel[:, self._planar_dof]
         rates = torch.cat([combine(qvel[:, self._tilt_dof], self._roll_and_pitch), planar[:, 2:]], -1)
         platform = pad(planar[:, :2], (0, 1))  # it keeps its height
-        turning = angular_velocity(self._platform_euler(readout), rates)
-        return torch.cat([super().velocities_of(readout), platform, turning], -1)
+        turning = angular_velocity(self._platform_euler(snapshot), rates)
+        return torch.cat([super().velocities_of(snapshot), platform, turning], -1)
 
-    def _platform_euler(self, readout: Readout) -> Tensor:
+    def _platform_euler(self, snapshot: SimulationSnapshot) -> Tensor:
         """Return roll, pitch and yaw of P, (n, 3)."""
-        qpos = readout["qpos"]
+        qpos = snapshot["qpos"]
         attitude = combine(qpos[:, self._tilt_qpos], self._roll_and_pitch)
         return torch.cat([attitude, qpos[:, self._planar_qpos][:, 2:]], -1)
 
-    def parts(self, readout: Readout, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`."""
-        qpos, euler = readout["qpos"], self._platform_euler(readout)
+    def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        qpos, euler = snapshot["qpos"], self._platform_euler(snapshot)
         return {
-            **super().parts(readout, velocities, rates),
+            **super().parts(snapshot, velocities, rates),
             "platform_position": pad(qpos[:, self._planar_qpos][:, :2], (0, 1), value=BOARD_HEIGHT),
             "platform_velocity": velocities[:, -6:-3],
             "platform_acceleration": rates[:, -6:-3],
@@ -116,6 +116,6 @@ class RidingStateReader(StateReader):
             "driving_tilt": combine(qpos[:, self._tilt_qpos], self._driving),
             "platform_angular_velocity": velocities[:, -3:],
             "platform_angular_acceleration": rates[:, -3:],
-            "speeds": readout["speeds"],
-            "driven_acceleration": readout["driven_acceleration"],
+            "speeds": snapshot["speeds"],
+            "driven_acceleration": snapshot["driven_acceleration"],
         }

@@ -25,7 +25,7 @@ from torchrl_atr.envs.tasks.sensors import SensorSet, with_sensors
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
 from torchrl_atr.envs.tasks.walking.gait import CLOCK_MIRROR, MEMORY, clock
 from torchrl_atr.envs.tasks.walking.rewards import WALKING_REWARDS, effort_schedule
-from torchrl_atr.envs.tasks.walking.state import WalkingStateReader
+from torchrl_atr.envs.tasks.walking.state import WalkingStateExtractor
 from torchrl_atr.envs.transforms.grid import CommandGrid
 
 __all__ = ["WALKING_REWARDS", "walking"]
@@ -83,7 +83,7 @@ def walking(
             "speeds": SPEEDS,
             KEY: dead_reckoned,
             ("privileged", "extrinsic"): BODY,
-            ("privileged", "outlook"): {
+            ("privileged", "tracking_forecast"): {
                 "errors": ObservationTerm(_errors, (*mirrors.FORWARD_YAW, -1.0, 1.0), unit="m/s"),
                 "foot_height": ObservationTerm(_foot_height, mirrors.legs, parts=LEGS, unit="m"),
                 "air_time": ObservationTerm(_air_time, mirrors.legs, parts=LEGS, unit="s"),
@@ -97,7 +97,7 @@ def walking(
         else {"push": Disturbance(partial(push_robot, pushes=pushed), pushed.interval)},
         memory={KEY: integrated, **MEMORY},
         tracking=("forward_command", "turning_command"),
-        state_reader=WalkingStateReader,
+        state_extractor=WalkingStateExtractor,
         readings=readings,
         reward_schedule={name: factor for name, factor in effort_schedule().items() if name in rewards},
         arguments=arguments,

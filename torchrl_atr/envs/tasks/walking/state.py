@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl_atr.envs.models.scene import STAND
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.proprioception import heading_frame
-from torchrl_atr.envs.tasks.state import QuadrupedState, Readout, Rows, StateReader, single
+from torchrl_atr.envs.tasks.state import QuadrupedState, Rows, SimulationSnapshot, StateExtractor, single
 
 
 @dataclass
@@ -34,7 +34,7 @@ class WalkingState(QuadrupedState):
     foot_velocity: Tensor
 
 
-class WalkingStateReader(StateReader):
+class WalkingStateExtractor(StateExtractor):
     """Reads a :class:`WalkingState` out of an engine."""
 
     state_type = WalkingState
@@ -49,24 +49,24 @@ class WalkingStateReader(StateReader):
         self._standing = torch.stack([heights.mean() for heights in by_foot]).float()
         super().__init__(engine)
 
-    def gather(self, rows: Rows = slice(None)) -> Readout:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`."""
+    def gather(self, rows: Rows = slice(None)) -> SimulationSnapshot:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         return {**super().gather(rows), "world_offset": single(self.engine.world_offset[rows])}
 
     @property
     def state(self) -> dict[str, Tensor]:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`."""
+        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         return {"foot_places": self.velocities[:, -12:]}
 
-    def velocities_of(self, readout: Readout) -> Tensor:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`; the feet's places in the world follow."""
-        places = self.foot_positions(readout)
-        places = torch.cat([places[..., :2] + readout["world_offset"].unsqueeze(-2), places[..., 2:]], -1)
-        return torch.cat([super().velocities_of(readout), places.flatten(-2)], -1)
+    def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`; the feet's places in the world follow."""
+        places = self.foot_positions(snapshot)
+        places = torch.cat([places[..., :2] + snapshot["world_offset"].unsqueeze(-2), places[..., 2:]], -1)
+        return torch.cat([super().velocities_of(snapshot), places.flatten(-2)], -1)
 
-    def parts(self, readout: Readout, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateReader`."""
-        parts = super().parts(readout, velocities, rates)
+    def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
+        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        parts = super().parts(snapshot, velocities, rates)
         along = heading_frame(parts["euler"], parts["velocity"])
         yaw_rate = (parts["rotation"][:, 2] * parts["angular_velocity"]).sum(-1)
         return {

@@ -14,7 +14,7 @@ from torchrl_atr.envs.transforms.seeding import OwnGenerator, make_generator
 _NEVER = torch.iinfo(torch.int64).max
 
 
-class StaggeredCounter(OwnGenerator, StepCounter):
+class RandomizedStepCounter(OwnGenerator, StepCounter):
     """A :class:`~torchrl.envs.StepCounter` whose counts start anywhere below ``max_steps`` when all envs begin at once.
 
     Robots that start together and do not fall end together, in every episode to come: a batch then is
@@ -37,7 +37,7 @@ class StaggeredCounter(OwnGenerator, StepCounter):
     Example:
         >>> from torchrl.envs import TransformedEnv
         >>> from torchrl.testing.mocking_classes import CountingEnv
-        >>> env = TransformedEnv(CountingEnv(max_steps=100), StaggeredCounter(5, seed=0))
+        >>> env = TransformedEnv(CountingEnv(max_steps=100), RandomizedStepCounter(5, seed=0))
         >>> 1 <= env.rollout(50).shape[-1] <= 5
         True
     """

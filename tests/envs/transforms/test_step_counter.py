@@ -8,14 +8,14 @@ from torchrl.envs import SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 from torchrl.testing.mocking_classes import CountingBatchedEnv, CountingEnv
 
-from torchrl_atr.envs.transforms import StaggeredCounter
+from torchrl_atr.envs.transforms import RandomizedStepCounter
 
 LIMIT, ENVS = 10, 64
 
 
 def env(every: int = 1) -> TransformedEnv:
     endless = CountingBatchedEnv(max_steps=torch.full((ENVS,), 10**6), batch_size=[ENVS])
-    return TransformedEnv(endless, StaggeredCounter(LIMIT, seed=0, every=every))
+    return TransformedEnv(endless, RandomizedStepCounter(LIMIT, seed=0, every=every))
 
 
 def ends(every: int) -> torch.Tensor:
@@ -69,11 +69,11 @@ def test_a_restored_state_goes_on_at_the_same_phase():
 @pytest.mark.parametrize("every", [0, -3])
 def test_impossible_multiples_are_refused(every):
     with pytest.raises(ValueError, match=f"every must be at least 1, got {every}"):
-        StaggeredCounter(LIMIT, every=every)
+        RandomizedStepCounter(LIMIT, every=every)
 
 
 def test_each_env_of_a_serial_one_draws_its_own():
-    several = SerialEnv(8, lambda: TransformedEnv(CountingEnv(max_steps=10**6), StaggeredCounter(LIMIT)))
+    several = SerialEnv(8, lambda: TransformedEnv(CountingEnv(max_steps=10**6), RandomizedStepCounter(LIMIT)))
     assert len(set(several.reset()["step_count"].flatten().tolist())) > 1
 
 

@@ -14,7 +14,7 @@ from torchrl_atr._registry import nearest_entry
 from torchrl_atr._torchrl_private import AfterStepTransform
 
 
-class StoredOnce(AfterStepTransform):
+class CompactStorage(AfterStepTransform):
     """Keeps entries out of ``next``, or out of the root, of what :class:`~torchrl.collectors.Collector` stores.
 
     TorchRL stores every observation twice. The history at the root of a step is all that policies and estimators read
@@ -38,13 +38,13 @@ class StoredOnce(AfterStepTransform):
     Example:
         >>> from torchrl.envs import TransformedEnv
         >>> from torchrl.testing.mocking_classes import CountingEnv
-        >>> env = TransformedEnv(CountingEnv(), StoredOnce(at_root=["observation"]))
+        >>> env = TransformedEnv(CountingEnv(), CompactStorage(at_root=["observation"]))
         >>> data = env.rollout(2)
         >>> "observation" in data, "observation" in data["next"]
         (True, False)
     """
 
-    worker_error = "wrap it instead: TransformedEnv(ParallelEnv(...), StoredOnce(...))"
+    worker_error = "wrap it instead: TransformedEnv(ParallelEnv(...), CompactStorage(...))"
 
     def __init__(self, at_root: Sequence[NestedKey] = (), in_next: Sequence[NestedKey] = ()) -> None:
         for name, keys in {"at_root": at_root, "in_next": in_next}.items():
@@ -90,6 +90,6 @@ class StoredOnce(AfterStepTransform):
             root.pop(key, None)  # of a root that was not reset here
 
     def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
-        raise NotImplementedError("StoredOnce only works on the steps of an environment")
+        raise NotImplementedError("CompactStorage only works on the steps of an environment")
 
     forward = _call
