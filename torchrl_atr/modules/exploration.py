@@ -122,7 +122,7 @@ def check_basis(basis: Tensor, actions: int) -> Tensor:
     basis = basis.to(torch.get_default_dtype())
     if basis.shape != (actions, actions) or not torch.allclose(basis.T @ basis, torch.eye(actions), atol=1e-5):
         raise ValueError(
-            f"basis needs {actions} orthonormal columns of {actions}, got {tuple(basis.shape)}; hadamard_leg_basis() is "
-            "one."
+            f"basis needs {actions} orthonormal columns of {actions}, got {tuple(basis.shape)}; hadamard_leg_basis() "
+            "is one."
         )
     return basis

@@ -136,8 +136,8 @@ class Learner:
 
         Returns:
             Means over the iteration: losses, KL divergence, learning rate, estimator errors; ``action_rate_rms``, the
-            root mean square of the mean actions' changes from step to step; ``skipped_steps``, the optimiser steps left out so
-            far because they were not finite.
+            root mean square of the mean actions' changes from step to step; ``skipped_steps``, the optimiser steps left
+            out so far because they were not finite.
 
         Raises:
             TrainingDiverged: if there is none that is finite any more.
