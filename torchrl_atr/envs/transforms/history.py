@@ -63,7 +63,7 @@ class ObservationHistory(Transform):
         self.length = length
         self.include_current = include_current
         # Frames, o_{t-H} ... o_t the last ones before _end, and room for more, (*B, H + 1 + _SPARE_FRAMES, D). Each is
-        # written once: the emitted histories are views, and to move all frames at every step takes longer than all else.
+        # written once: the emitted histories are views, and moving all frames at every step takes longer than all else.
         self.register_buffer("_buffer", None, persistent=False)
         self._end = 0
 
