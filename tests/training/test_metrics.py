@@ -36,7 +36,7 @@ def test_falls_are_shown_as_a_moving_mean_and_logged_as_they_are(tmp_path):
     progress = Progress(tmp_path, TrainConfig(), logger=_Logger())
     for frames, falls in ((1, 60.0), (2, 0.0), (3, 0.0), (4, 0.0)):
         progress.update({"frames": frames, "minutes": 1.0, "falls_per_minute": falls})
-    assert dict(progress._rows())["falls per robot and minute"] == "15.00"
+    assert progress._shown["falls_per_minute"] == 15.0
     rows = (tmp_path / "progress.csv").read_text(encoding="utf-8").splitlines()
     column = rows[0].split(",").index("falls_per_minute")
     assert [float(row.split(",")[column]) for row in rows[1:]] == [60, 0, 0, 0]

@@ -141,7 +141,7 @@ def test_a_named_logger_gets_what_progress_csv_gets_and_is_closed(tmp_path, monk
     for _, _, spy in made:
         assert spy.steps == frames
         assert spy.closed
-        assert ("num_envs" in spy.settings) == (name != "tensorboard")
+        assert ("env" in spy.settings) == (name != "tensorboard")
 
 
 class Spy:
