@@ -151,7 +151,7 @@ def test_a_transporter_of_ones_own_is_kept_too(tmp_path, capsys):
     trainer.env.base_env._recorder.dump(0, "a test")
     shutil.rmtree(deck.parent)
     run = Path(shutil.move(tmp_path / "run", tmp_path / "moved"))
-    assert load_checkpoint(run)["config"]["transporter"] == "model/transporter/wide.toml"
+    assert load_checkpoint(run)["config"]["task"]["transporter"] == "model/transporter/wide.toml"
     assert load_run(run, num_envs=1)[1].base_env.scene.support.spec.mass == 14.0
     (dump,) = (run / DUMPS).iterdir()
     assert len(list(replay(dump))) == 2

@@ -76,7 +76,8 @@ def test_the_command_line_keeps_the_settings_and_says_where_the_run_comes_from(p
     assert main(["train", "--from", str(parent), "--output", str(run), "--exploration.final-std", "0.05"]) == 0
     assert main(["train", "--resume", str(run), "--total-frames", "128"]) == 0
     state, origin = load_checkpoint(run), json.loads((run / "run.json").read_text())
-    assert (state["config"]["gamma"], state["config"]["final_std"]) == (0.9, 0.05)
+    config = state["config"]
+    assert (config["ppo"]["gamma"], config["exploration"]["final_std"]) == (0.9, 0.05)
     assert (
         origin["command"]
         == f"torchrl-atr train --from {parent} --seed 0 --total-frames 128 --exploration.final-std 0.05"
