@@ -84,7 +84,7 @@ def test_another_module_takes_its_place(run, tmp_path, fresh):
     for folder in (run, tmp_path / "new"):
         assert load_checkpoint(folder)["config"]["imports"] == ["my_moved"]
         fresh()
-        assert load_run(folder, num_envs=1)[0].robot == "mine"
+        assert load_run(folder, num_envs=1)[0].task.robot == "mine"
 
 
 def test_one_more_module_adds_to_those_that_it_remembers(run, tmp_path):

@@ -18,6 +18,7 @@ TINY = {
     "compute.num_threads": 1,
     "ppo.gamma": 0.9,
     "curriculum.max_speed": 3.0,
+    "curriculum.max_yaw_rate": 2.0,
 }
 
 
