@@ -62,7 +62,7 @@ import pytest
         ("train --from RUN --preset literal --output x", "--preset literal", "keeps that run's, default"),
         ("train --from RUN --seed -1 --output x", "seed=-1", "choose a number in [0, 2147483647]"),
         ("train --resume RUN --from RUN", "--from", "leave it out"),
-        ("train --exploration.anneal-until 0.2", "anneal_from=0.35", "must be below exploration.anneal_until=0.2"),
+        ("train --exploration.anneal-until 0.2", "anneal_from=0.4", "must be below exploration.anneal_until=0.2"),
         ("train --curriculum.max-speed 2.1", "max_speed=2.1", "a whole multiple of its bin 0.2"),
         ("train --curriculum.max-yaw-rate 0.2", "max_yaw_rate=0.2", "must lie within its bound"),
         ("evaluate RUN --randomization none", "'none'", "choose from"),

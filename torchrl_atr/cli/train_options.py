@@ -125,8 +125,9 @@ def _parsed(words: list[str]) -> Any:
     except SystemExit as stop:
         if not stop.code:
             raise
-        lines = [line.strip("│ ") for line in errors.getvalue().splitlines() if line.startswith("│")]
-        raise ConfigError(f"{lines[0] if lines else 'this cannot be parsed'} See torchrl-atr train --help") from None
+        box = "│╭╮╰╯─ "  # blanks and dashes where the terminal's encoding has none of these
+        lines = [line.strip(box) for line in errors.getvalue().splitlines() if line.strip(box + "-")]
+        raise ConfigError(f"{' '.join(lines[1:2]) or 'this cannot be parsed.'} See torchrl-atr train --help") from None
     if unknown:
         raise ConfigError(f"unknown argument {unknown[0]!r}; {_hint(unknown[0])}")
     return parsed
