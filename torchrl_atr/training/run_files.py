@@ -1,4 +1,4 @@
-"""Copies of the files that a run's settings name, so that its folder can be moved and outlives them."""
+"""Copies of the files that a run's settings name, so that its folder can be moved and does not need the originals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MODEL = "model"
 CONFIG = "config.toml"
 """File of a run that holds its settings, to be edited and started from."""
 DUMPS = "diverged"
-"""Folder of a run that simulations which failed are written to."""
+"""Folder of a run for the dumps of simulations that failed."""
 
 
 def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
