@@ -11,6 +11,6 @@ _VARIABLES = {
 
 
 def prepare_environment() -> None:
-    """Sets what is not set yet; to be called before torch and torchrl are imported."""
+    """Set the variables that are not set yet; to be called before torch and torchrl are imported."""
     for name, value in _VARIABLES.items():
         os.environ.setdefault(name, value)
