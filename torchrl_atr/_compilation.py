@@ -45,7 +45,7 @@ def compile_function(function: Callable[..., Any], any_rows: bool = False, short
         )
     options: dict[str, Any] = {
         "guard_filter_fn": torch.compiler.keep_portable_guards_unsafe,
-        "size_asserts": False,  # guards have looked at the shapes
+        "size_asserts": False,  # guards have checked the shapes
         **({"cpp.min_chunk_size": 8192} if short else {}),
     }
     compiled = torch.compile(_own(function), options=options)

@@ -6,7 +6,7 @@ import os
 
 _VARIABLES = {
     "RL_LOGGING_LEVEL": "WARNING",
-    "GOMP_SPINCOUNT": "20000",  # between two operations torch's threads spin on CPUs that MuJoCo's then lack
+    "GOMP_SPINCOUNT": "20000",  # torch's idle threads spin on CPUs that MuJoCo's need
 }
 
 

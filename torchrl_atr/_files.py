@@ -111,7 +111,7 @@ def whole(path: str | Path) -> Iterator[Path]:
             yield temporary
             try:
                 _move_files(temporary, target)
-            except KeyboardInterrupt:  # files of two reports would be worse than an end that comes late
+            except KeyboardInterrupt:  # mixed files of two reports would be worse than a late end
                 _move_files(temporary, target)
                 raise
         finally:

@@ -48,7 +48,7 @@ def _config_from(run: Path, given: dict[str, Any]) -> tuple[TrainConfig, set[str
     from torchrl_atr.training.restoring import saved_settings
 
     settings = saved_settings(load_checkpoint(run), run, given.get("imports", ()))
-    if (preset := given.get("preset", settings["preset"])) != settings["preset"]:  # all of whose settings are taken
+    if (preset := given.get("preset", settings["preset"])) != settings["preset"]:  # its settings are all taken
         raise ConfigError(f"--preset {preset}: --from {run} keeps that run's, {settings['preset']}; leave it out")
     return make_config(settings, given, {"imports": settings["imports"]}), set(given.get("task", ()))
 
@@ -213,7 +213,7 @@ def replay(arguments: argparse.Namespace) -> None:
 
     import_modules(arguments.imports or _imports_of(arguments.dump))
     say(replay_head())
-    with closing(replayed(arguments.dump, arguments.video)) as steps:  # whatever ends it, the video ends here, too
+    with closing(replayed(arguments.dump, arguments.video)) as steps:  # finish the video in any case
         for step in steps:
             say(replay_line(step))
     if arguments.video is not None:

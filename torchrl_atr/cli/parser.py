@@ -19,7 +19,7 @@ _PROTOCOL_HELP = (
 
 
 def _path(text: str) -> Path:
-    if not text.strip():  # of an unset shell variable; Path("") would be the working directory
+    if not text.strip():  # from an unset shell variable; Path("") would be the working directory
         raise argparse.ArgumentTypeError("it is empty; give a path")
     return Path(text)
 
@@ -152,6 +152,6 @@ def refuse(arguments: argparse.Namespace, text: str) -> None:
     """Exit with code 2 for an argument that the command does not have."""
     name = text.partition("=")[0].lstrip("-")
     options = re.findall(r"--[a-z-]+", arguments.parser.format_usage())
-    similar = nearest(name, (option.removeprefix("--") for option in options), otherwise="")  # dashes say nothing
+    similar = nearest(name, (option.removeprefix("--") for option in options), otherwise="")  # dashes look alike
     hint = similar.replace("'", "'--", 1) or f"see torchrl-atr {arguments.command} --help"
     arguments.parser.error(f"unknown argument {text!r}; {hint}")

@@ -89,7 +89,7 @@ def parse_train(words: Sequence[str]) -> TrainArguments:
 def _path(name: str, text: str | None) -> Path | None:
     if text is None:
         return None
-    if not text.strip():  # of an unset shell variable; Path("") would be the working directory
+    if not text.strip():  # from an unset shell variable; Path("") would be the working directory
         raise ConfigError(f"{option(name)}: it is empty; give a path")
     path = Path(text)
     if name in ("resume", "start") and path.is_file():

@@ -161,7 +161,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
             self.register_coeff_buffer(name, float(value), device=device)
         self._add_scale(extrinsic_scale)
         self._smooth = smoothness_coeff > 0
-        self._renew_keys()  # they were noted before these networks existed
+        self._renew_keys()  # the parent's constructor listed them before these networks existed
 
     def _add_scale(self, scale: Tensor | nn.Module | None) -> None:
         std = scale.std if isinstance(scale, nn.Module) and hasattr(scale, "std") else scale

@@ -58,7 +58,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
     Raises:
         ConfigError: for a robot, a transporter or sensors that the task does not have.
     """
-    import_modules(config.imports)  # a config that was sent to another process was checked in the first alone
+    import_modules(config.imports)  # another process has checked a config that was sent to this one
     of_the_task = inspect.signature(TASKS.get(config.task.name)).parameters
     task = {name: overrides.pop(name) for name in list(overrides) if name in of_the_task}
     for part in (*PARTS, "sensors"):
@@ -105,7 +105,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         ConfigError: if a setting asks for an entry that the env does not have.
     """
     spec = env.observation_spec
-    size = spec["observation"].shape[-1]  # the command ends o_t
+    size = spec["observation"].shape[-1]  # the command is the end of o_t
     exploration, output_map = _exploration(config.exploration, env.action_spec.shape[-1])
     critic_inputs: list[NestedKey] = []
     if config.ppo.privileged_critic:
@@ -236,6 +236,6 @@ def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
 def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
     """Return the policy that a run collects with; it shares the networks."""
     actor = networks.rollout_policy(config.roa.act_source)
-    if config.compiles_networks and config.compute.collector == "direct":  # what is compiled cannot be sent to workers
+    if config.compiles_networks and config.compute.collector == "direct":  # compiled modules cannot be sent to workers
         compile_methods(actor.module[0], "forward")
     return correlate(actor, config.exploration.noise_correlation)

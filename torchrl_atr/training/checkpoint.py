@@ -92,7 +92,7 @@ def _name_too(source: Path, target: Path) -> None:
         temporary.unlink()
         try:
             os.link(source, temporary)
-        except OSError:  # not every file system links
+        except OSError:  # some file systems have no links
             shutil.copyfile(source, temporary)
 
 

@@ -206,7 +206,7 @@ class Collection:
         for name, part in self._stateful():
             part.set_extra_state(state["policy"][name])
         carried = TensorDict(state["carried"], batch_size=self.env.batch_size)
-        carried_root(self.collector).update(carried.exclude("reward_terms"))  # which were carried once
+        carried_root(self.collector).update(carried.exclude("reward_terms"))  # in earlier checkpoints
 
     def _stateful(self) -> list[tuple[str, Any]]:
         """Return name and module of the policy's parts with a state beside parameters, such as correlated noise."""
@@ -222,10 +222,10 @@ class Collection:
             if hasattr(self, "collector"):  # it was made
                 self.collector.shutdown()
         except RuntimeError:
-            if not self._broken:  # it waits for every worker's answer, and one is gone
+            if not self._broken:  # else it waited for the answer of a worker that is gone
                 raise
         finally:
-            if self._broken:  # it may not have got to its workers, or never have been made
+            if self._broken:  # the collector may not have reached its workers, or not exist
                 for process in set(multiprocessing.active_children()) - self._others:
                     process.kill()
                     process.join()

@@ -74,7 +74,7 @@ class TrainConfig(Settings):
         files: dict[str, Any] = {
             name: str(Path(value).resolve()) for name in COPIES if is_spec_file(value := getattr(self.task, name))
         }
-        if files:  # workers must find them from wherever they run
+        if files:  # workers must find them from any directory
             object.__setattr__(self, "task", dataclasses.replace(self.task, **files))
 
     def replace(self, **values: Any) -> TrainConfig:

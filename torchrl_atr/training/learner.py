@@ -140,7 +140,7 @@ class Learner:
             TrainingDiverged: if steps are no longer finite.
         """
         with torch.no_grad():
-            # a copy: what is added to it, and the weighted reward, is not the caller's
+            # a copy: the caller's batch gets no new entries and no weighted reward
             device = self.config.compute.device  # to a GPU from pinned memory, without waiting
             batch = batch.copy().to(device, non_blocking_pin=device != "cpu")
             batch = with_factors(batch, self._reward_factors)
@@ -230,7 +230,7 @@ class Learner:
         left_out = left_out if hold is None else left_out | hold
         for name in names:
             optimizer: Any = self.optimizers[name]
-            optimizer.found_inf = left_out.float()  # where a fused optimiser looks, on the device
+            optimizer.found_inf = left_out.float()  # a fused optimiser reads it on the device
             optimizer.step()
         return TensorDict({**terms.detach().apply(torch.mean).to_dict(), "finite": finite})
 
@@ -262,7 +262,7 @@ class Learner:
             check_moments(optimizer, state["optimizers"][name], name)
             optimizer.load_state_dict(state["optimizers"][name])
             for group in optimizer.param_groups:
-                group["capturable"] = self.config.captures_graphs  # as this run needs it, not the one before
+                group["capturable"] = self.config.captures_graphs  # as this run needs it, not the saved one
         self._steps = self._make_steps()  # graphs that were captured change tensors that are no longer read
         self.schedule.load_state_dict(state["schedule"])
         if hasattr(self.loss, "roa_coeff"):

@@ -102,7 +102,7 @@ class Parts:
         for name, factory in self._factories.items():
             if not callable(factory):
                 raise ConfigError(f"{name}={factory!r} cannot be called; give a function, or a class")
-            if isinstance(factory, nn.Module):  # which can be called, and envs are modules
+            if isinstance(factory, nn.Module):  # modules can be called, and envs are modules
                 raise ConfigError(f"{name}={type(factory).__name__}(...) is what is to be made; give what makes it")
         if self.make_networks is None:
             get_estimator(config.estimator.name)

@@ -46,7 +46,7 @@ def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
     copies: dict[str, Any] = {}
     with naming(folder):
         try:
-            for name, path in given.items():  # before the old folder goes: they may lie in it
+            for name, path in given.items():  # before the old folder is removed: they may be in it
                 copies[name] = str(folder / COPIES[name](path, staged / name).relative_to(staged))
             if folder.exists():
                 shutil.rmtree(folder)

@@ -116,7 +116,7 @@ class Trainer:
         self._prepare_folder(fresh=state is None)
         self.curriculum = env_access.curriculum_of(self.env)
         if state is None and other is None:
-            with self.threads:  # compiled steps are for that many
+            with self.threads:  # compiled steps are specialised to their number
                 init_normalizers(networks, self.env, self.config.ppo.rollout_steps, self.config.compute.device)
         self.learner = Learner(networks, self.config, loss, schedule, self.parts.callbacks)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
@@ -142,7 +142,7 @@ class Trainer:
         given, self.config = self.config, keep_files(self.config, self.run, fresh)
         if fresh:
             clear(self.run)
-        if self.config != given and self.parts.make_env is None:  # what the folder holds is what is trained
+        if self.config != given and self.parts.make_env is None:  # train the folder's copy
             self.env.close()
             self.env = self._env_maker()
             check_model({"model": self._model}, env_access.attribute(self.env, "scene"), self.run)
@@ -185,7 +185,7 @@ class Trainer:
         collection = Collection(self.config, self.env, self._env_maker, policy, self.iteration)
         if self._carried:
             collection.load_state_dict(self._carried["collection"])
-            load_rng_state(self._carried["rng"])  # last: building all this drew from it
+            load_rng_state(self._carried["rng"])  # last: construction draws random numbers
         return collection
 
     def _close(self) -> None:
@@ -250,7 +250,7 @@ class Trainer:
         model, parts = None if self._model is None else digest(self._model), self.parts.names
         origin = provenance(self.config, self.run, model, self.frames, self.seconds, self._start, parts)
         write_json(self.run / "run.json", origin)
-        known = self.iteration > 1 / _MEMORY and self.reward != 0.0  # of an env without episode rewards it is not
+        known = self.iteration > 1 / _MEMORY and self.reward != 0.0  # it is 0 for an env without episode rewards
         best = known and self.reward > self.best_reward
         self.best_reward = self.reward if best else self.best_reward
         state = self._state(origin)
