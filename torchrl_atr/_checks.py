@@ -1,4 +1,4 @@
-"""Checks of argument values, one for each kind; what they refuse is named with what to give instead."""
+"""Checks of argument values, one for each kind; errors name the argument and the remedy."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def check_whole(name: str, value: Any, low: int | None = 0, high: int | None = N
     Args:
         name: of the argument, for the message.
         value: what was given; integers of NumPy count.
-        low: smallest value; None for none.
-        high: largest value; None for what 64 bits hold.
+        low: smallest value; None for no limit.
+        high: largest value; None for the largest 64-bit integer.
         optional: whether None is a value too, which is returned as it is.
 
     Raises:
@@ -54,7 +54,7 @@ def check_number(
         value: what was given; integers and numbers of NumPy count.
         low: smallest value.
         high: largest value.
-        above: what it must exceed; None for ``low`` alone.
+        above: exclusive lower bound; None for ``low`` alone.
 
     Raises:
         InputError: for anything else.
@@ -108,7 +108,7 @@ def check_pair(name: str, value: Any, wanted: str, low: float = 0.0, positive: b
 
 
 def check_flag(name: str, value: Any) -> bool:
-    """Return ``value`` if it is a bool; numbers are none.
+    """Return ``value`` if it is a bool; numbers are not.
 
     Raises:
         InputError: for anything else.

@@ -1,4 +1,4 @@
-"""For what is computed again and again: ``torch.compile`` on a CPU, a captured graph of operations on a GPU."""
+"""Compilation of repeated computations: ``torch.compile`` on a CPU, captured CUDA graphs on a GPU."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from torchrl_atr._errors import InputError, first_line
 
 
 def compiler() -> str | None:
-    """The C++ compiler that torch takes for code on a CPU, ``$CXX`` or its default; None if it is not on PATH."""
+    """Return the C++ compiler that torch uses for a CPU, ``$CXX`` or its default; None if it is not on PATH."""
     return shutil.which(os.environ.get("CXX") or ("clang++" if sys.platform == "darwin" else "g++"))
 
 
 def compile_function(function: Callable[..., Any], any_rows: bool = False, short: bool = False) -> Callable[..., Any]:
-    """``function``, compiled at its first call, which takes half a minute; what it calls must be traceable by torch.
+    """Return ``function`` compiled at its first call, in half a minute; torch must be able to trace what it calls.
 
     torch keeps the result on disk for the next process. Other shapes or another number of torch threads are compiled
     anew, and run eagerly after eight of them, with torch's warning.
 
     Args:
-        function: a function or method of tensors, and of what does not change: nobody looks whether it did, which would
-            take a third of a millisecond a call.
+        function: a function or method of tensors and constants; changes of the latter are not checked, which would take
+            a third of a millisecond a call.
         any_rows: whether it is compiled at once for any number of rows, the first dimension of its tensors, above one.
             torch's ``dynamic=True`` lets all other sizes and the bounds of slices vary too, and takes twice as long.
-        short: whether loops that would give each thread less than 8,192 elements, not 512, are left to one: for what
-            runs beside physics, whose threads take turns with torch's.
+        short: whether loops that would give each thread less than 8,192 elements, not 512, run in one: for code
+            that runs beside physics, whose threads take turns with torch's.
 
     Raises:
         InputError: if there is no C++ compiler, which torch needs for code on a CPU.
@@ -45,7 +45,7 @@ def compile_function(function: Callable[..., Any], any_rows: bool = False, short
         )
     options: dict[str, Any] = {
         "guard_filter_fn": torch.compiler.keep_portable_guards_unsafe,
-        "size_asserts": False,  # guards have looked at the shapes
+        "size_asserts": False,  # guards have checked the shapes
         **({"cpp.min_chunk_size": 8192} if short else {}),
     }
     compiled = torch.compile(_own(function), options=options)
@@ -67,13 +67,13 @@ def _with_any_rows(compiled: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def compile_methods(owner: object, *names: str, **how: bool) -> None:
-    """Compiles methods of one object, in place; pickling has to leave them out. See :func:`compile_function`."""
+    """Compile methods of one object, in place; pickling has to leave them out. See :func:`compile_function`."""
     for name in names:
         setattr(owner, name, compile_function(getattr(owner, name), **how))
 
 
 class CudaGraph:
-    """A function of a TensorDict that becomes one CUDA graph: launched as a whole, not operation by operation.
+    """Function of a TensorDict as one CUDA graph: launched as a whole, not operation by operation.
 
     The first calls, and those with another number of rows than was captured, run as they are. tensordict's
     ``CudaGraphModule`` waits for the GPU at every call; this does not.
@@ -93,7 +93,7 @@ class CudaGraph:
         self._stream = torch.cuda.Stream()
 
     def __call__(self, inputs: TensorDictBase) -> TensorDictBase:
-        """What the function returns, in tensors of their own."""
+        """Return the function's result in new tensors."""
         if self.warmup > 0:
             self.warmup -= 1
             return self._beside(inputs)
@@ -105,7 +105,7 @@ class CudaGraph:
         return written.clone()
 
     def _beside(self, inputs: TensorDictBase) -> TensorDictBase:
-        """On another stream, as torch advises: what autograd keeps of the main one could not be captured."""
+        """Run on another stream, as torch advises: what autograd keeps of the main one could not be captured."""
         main = torch.cuda.current_stream()
         self._stream.wait_stream(main)
         with torch.cuda.stream(self._stream):
@@ -127,7 +127,7 @@ class CudaGraph:
 
 
 def _own(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same function with code of its own: torch searches what was compiled of one code in order, at every call."""
+    """Return the function with a code object of its own: torch searches all that was compiled of one at every call."""
     if isinstance(function, MethodType):
         return MethodType(_own(function.__func__), function.__self__)
     code, name = function.__code__.replace(), function.__name__

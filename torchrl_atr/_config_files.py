@@ -1,4 +1,4 @@
-"""Nested settings in files: TOML or JSON to read, TOML that says what each setting is to write."""
+"""Files of nested settings: TOML or JSON to read, TOML with a comment for each setting to write."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchrl_atr._settings import ConfigError, Settings, settings
 
 
 def read_values(path: Path) -> dict[str, Any]:
-    """Return what a ``.toml`` or ``.json`` file holds.
+    """Return the content of a ``.toml`` or ``.json`` file.
 
     Raises:
         ConfigError: if it is missing, of another kind, or malformed.
@@ -34,7 +34,7 @@ def read_values(path: Path) -> dict[str, Any]:
 
 
 def to_toml(kind: type[Settings], values: Mapping[str, Any], prefix: str = "") -> str:
-    """Return nested settings as TOML, each below what it is.
+    """Return nested settings as TOML, each below a comment that describes it.
 
     Args:
         kind: of the configuration.

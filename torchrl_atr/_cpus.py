@@ -1,4 +1,4 @@
-"""Count the CPUs that this process may use, and those that others use meanwhile."""
+"""Numbers of the CPUs that this process may use, and of those that other processes use meanwhile."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ def cpu_mask() -> list[int]:
 
 
 class NeighbourLoad:
-    """Measure how many of this process's CPUs other processes keep busy.
+    """Number of this process's CPUs that other processes keep busy.
 
     The load is what its CPUs did less what this process and its descendants did: it sees neighbours of any user, on
     Linux also the host's other machines (stolen time), and nothing of this process's own threads. Where the system
-    does not tell, it is zero.
+    does not report it, it is zero.
 
     Example:
         >>> load = NeighbourLoad()
@@ -124,7 +124,7 @@ class NeighbourLoad:
 
 
 def _cpu_seconds(process: psutil.Process) -> float:
-    """Return the CPU seconds of a process and of those children of it that ended; none if it has ended itself."""
+    """Return the CPU seconds of a process and of those children of it that ended; 0 if it has ended itself."""
     try:
         return float(sum(process.cpu_times()[:4]))  # user and system, and those of children
     except psutil.Error:

@@ -6,11 +6,11 @@ import os
 
 _VARIABLES = {
     "RL_LOGGING_LEVEL": "WARNING",
-    "GOMP_SPINCOUNT": "20000",  # between two operations torch's threads spin on CPUs that MuJoCo's then lack
+    "GOMP_SPINCOUNT": "20000",  # torch's idle threads spin on CPUs that MuJoCo's need
 }
 
 
 def prepare_environment() -> None:
-    """Sets what is not set yet; to be called before torch and torchrl are imported."""
+    """Set the variables that are not set yet; to be called before torch and torchrl are imported."""
     for name, value in _VARIABLES.items():
         os.environ.setdefault(name, value)

@@ -6,15 +6,15 @@ import textwrap
 
 
 class UserError(Exception):
-    """Something the user gave is wrong; the message names it and says what to do."""
+    """Error in the user's input; the message names it and the remedy."""
 
 
 class InputError(UserError, ValueError):
-    """An argument with an impossible value, where no narrower error says more."""
+    """Error of an argument with an invalid value, where no narrower class says more."""
 
 
 class MissingPackageError(UserError, ImportError):
-    """A package of an optional extra that is not installed.
+    """Error of a package of an optional extra that is not installed.
 
     Args:
         package: its name.
@@ -30,7 +30,7 @@ class MissingPackageError(UserError, ImportError):
 
 
 def first_line(error: BaseException) -> str:
-    r"""What another library's error says, in a line of ours.
+    r"""Return the first line of another library's error, shortened.
 
     Example:
         >>> first_line(RuntimeError("no such port\nsee the manual")), first_line(KeyboardInterrupt())

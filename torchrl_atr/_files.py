@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and what keeps them from appearing is said."""
+"""Atomic writing of files and folders, with errors that name the path and the remedy."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _REMEDIES = {
 
 
 def explain(error: OSError) -> str:
-    """The file, what is wrong with it, and what to do.
+    """Return the file, what is wrong with it, and the remedy.
 
     Example:
         >>> explain(OSError(errno.ENOTDIR, "Not a directory", "notes.txt/run"))
@@ -47,9 +47,9 @@ def explain(error: OSError) -> str:
 
 @contextmanager
 def folder_for(path: str | Path) -> Iterator[Path]:
-    """Make a folder, parents included, for what the block writes; if the block fails, those that are empty go again.
+    """Make a folder, parents included, for what the block writes; if the block fails, empty ones are removed.
 
-    It is written to at once: better to fail now than after an hour's work.
+    A test file is written at once, to fail now rather than after an hour's work.
 
     Args:
         path: of the folder; one that exists stays, whatever happens.
@@ -111,7 +111,7 @@ def whole(path: str | Path) -> Iterator[Path]:
             yield temporary
             try:
                 _move_files(temporary, target)
-            except KeyboardInterrupt:  # files of two reports would be worse than an end that comes late
+            except KeyboardInterrupt:  # mixed files of two reports would be worse than a late end
                 _move_files(temporary, target)
                 raise
         finally:
@@ -125,7 +125,7 @@ def _move_files(source: Path, target: Path) -> None:
 
 @contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Errors of the operating system inside the block name ``path``: those of a full disk name nothing."""
+    """Name ``path`` in errors of the operating system inside the block: those of a full disk name nothing."""
     try:
         yield
     except OSError as error:
@@ -135,7 +135,7 @@ def naming(path: str | Path) -> Iterator[None]:
 
 
 def write_json(path: Path, value: Any, allow_nan: bool = True) -> None:
-    """Writes ``value``, whole or not at all, in ASCII: what a command line was given may hold bytes that are no text.
+    """Write ``value``, whole or not at all, in ASCII: words of a command line may hold bytes that are not text.
 
     Raises:
         ValueError: if it holds NaN or infinity, which other readers of JSON refuse, and ``allow_nan`` is False.
@@ -145,7 +145,7 @@ def write_json(path: Path, value: Any, allow_nan: bool = True) -> None:
 
 
 def say(text: str, end: str = "\n") -> None:
-    """Writes a line for whoever reads; a pipe whose reader has left must not end hours of work."""
+    """Write a line to standard output; a pipe whose reader has left must not end hours of work."""
     try:
         with naming("standard output"):
             sys.stdout.write(text + end)
@@ -155,7 +155,7 @@ def say(text: str, end: str = "\n") -> None:
 
 
 def flush() -> None:
-    """Write what is left of standard output, where it can be written: the interpreter's own last try would complain."""
+    """Flush standard output, where it can be written: the interpreter's own flush at exit would report an error."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError):  # its reader is gone, the disk is full, or it has been closed
@@ -178,13 +178,13 @@ def _escape(error: UnicodeError) -> tuple[str | bytes, int]:
 
 
 def prepare_output() -> None:
-    r"""Have standard output and error take any text in any encoding: what it lacks is written as ``\u03c9``.
+    r"""Let standard output and error take any text in any encoding: what it lacks is written as ``\u03c9``.
 
-    Names of files that are no text in this locale are written as the bytes that they are.
+    Names of files that are not text in this locale are written as the bytes that they are.
     """
     codecs.register_error(_ESCAPE, _escape)
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by whoever started this process
+        if getattr(sys, name) is None:  # closed by the parent process
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
         stream = getattr(sys, name)
         if hasattr(stream, "reconfigure"):
@@ -192,7 +192,7 @@ def prepare_output() -> None:
 
 
 def sweep(folder: Path) -> None:
-    """Remove what a killed process left of what it was writing with :func:`atomic` and :func:`whole`."""
+    """Remove the temporary files of :func:`atomic` and :func:`whole` that a killed process left."""
     for path in folder.glob(".*.part*"):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -202,7 +202,7 @@ def sweep(folder: Path) -> None:
 
 @contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """A path to write to; it becomes ``path``, whole, when the block ends without an error.
+    """Yield a path to write to; it becomes ``path``, whole, when the block ends without an error.
 
     The temporary file has the same suffix, since writers choose formats by it.
 
@@ -219,10 +219,10 @@ def atomic(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     with _made(path.parent), naming(path):
-        if path.exists() and not path.is_file():  # a folder; or a device, which the replacement would abolish
+        if path.exists() and not path.is_file():  # a folder; or a device, which the replacement would remove
             raise FileExistsError(errno.EEXIST, "not a file")
         try:
-            temporary.touch()  # whoever writes it may say less clearly why it cannot be written
+            temporary.touch()  # the writer's own error may be less clear
             yield temporary
             os.replace(temporary, path)
         finally:

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: a command ends at once and cleans up, a training run finishes its iteration first."""
+"""Handling of SIGINT and SIGTERM: a command ends at once and cleans up, a training run ends after its iteration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _REPEAT = 1.0
 
 
 class Stopped(KeyboardInterrupt):
-    """Raised in the main thread when a signal asks the process to stop; ``signal`` is its number."""
+    """Exception in the main thread when a signal asks the process to stop; ``signal`` is its number."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -25,7 +25,7 @@ class Stopped(KeyboardInterrupt):
 
 
 class Interrupt:
-    """Turns SIGINT and SIGTERM into :class:`Stopped`, or notes the first one and raises for the next.
+    """Handler that turns SIGINT and SIGTERM into :class:`Stopped`, or notes the first one and raises for the next.
 
     Python itself raises for SIGINT alone, wherever the program is; torch and TorchRL leave the signals of a run alone.
     A context manager for the main thread; in any other it leaves signals alone. One may stand inside another: the
@@ -72,7 +72,7 @@ class Interrupt:
             signal.signal(number, handler)
 
     def mute(self) -> None:
-        """Let nothing interrupt the end of a process that has been stopped; the handlers before do not come back."""
+        """Ignore further signals while a stopped process ends; the previous handlers are not restored."""
         self._disarm()
         for number in self._previous:
             signal.signal(number, signal.SIG_IGN)
@@ -93,7 +93,7 @@ class Interrupt:
             self.notice()
 
     def _stop(self, number: int, frame: FrameType | None) -> None:
-        """Raise, and once more where an import ends: some modules take any error for a missing part and go on."""
+        """Raise, and once more where an import ends: some modules take any error for a missing part and continue."""
 
         def stop(*event: Any) -> NoReturn:  # an error in a trace function ends the tracing
             raise Stopped(number)
@@ -124,10 +124,10 @@ class Interrupt:
 
 @contextmanager
 def signals_held(numbers: Iterable[signal.Signals] = SIGNALS) -> Iterator[None]:
-    """Start child processes in which these signals stay blocked; here they arrive afterwards, or in another thread.
+    """Block signals in child processes that the block starts; here they arrive afterwards, or in another thread.
 
-    A terminal sends Ctrl-C to children as well, who would die of it before this process has told them to end. A child
-    that is to be ended by one of the signals must not be started with that one held.
+    A terminal sends Ctrl-C to children as well, which would end before this process has told them to. A child that is
+    to be ended by one of the signals must not be started with that one held.
 
     Args:
         numbers: the signals.
@@ -140,7 +140,7 @@ def signals_held(numbers: Iterable[signal.Signals] = SIGNALS) -> Iterator[None]:
 
 
 def end_children() -> None:
-    """Kill what :mod:`multiprocessing` has started and nobody has ended."""
+    """Kill the children of :mod:`multiprocessing` that still run."""
     if "multiprocessing" in sys.modules:
         for process in sys.modules["multiprocessing"].active_children():
             process.kill()

@@ -1,4 +1,4 @@
-"""Nested settings as mappings and texts: merge them, take them apart, and make a configuration of them."""
+"""Nested settings as mappings and texts: merging, flattening, parsing, and construction of a configuration."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torchrl_atr._settings import ConfigError, Settings, fields_of, joined, sett
 
 
 def build(kind: type[Settings], values: Mapping[str, Any], root: type[Settings] | None = None, prefix: str = "") -> Any:
-    """Make a configuration of nested mappings, as a file holds them.
+    """Build a configuration from nested mappings, as a file holds them.
 
     Args:
         kind: of the configuration, or of a group of it.
@@ -40,11 +40,11 @@ def build(kind: type[Settings], values: Mapping[str, Any], root: type[Settings] 
 
 
 def suggestion(kind: type[Settings], path: str, write: Callable[[str], str] = str) -> str:
-    """Say which setting was meant, and of which group it is.
+    """Return a hint at the setting that was meant, and its group.
 
     Args:
         kind: the configuration.
-        path: dotted name of what there is not.
+        path: unknown dotted name.
         write: how a dotted name is written where it was given.
     """
     known = settings(kind)
@@ -62,7 +62,7 @@ def suggestion(kind: type[Settings], path: str, write: Callable[[str], str] = st
 
 
 def merged(*sources: Mapping[str, Any]) -> dict[str, Any]:
-    """Return nested mappings as one, the later winning setting by setting; dotted names are taken apart.
+    """Return nested mappings as one, the later winning setting by setting; dotted names become nested.
 
     Example:
         >>> merged({"ppo": {"gamma": 0.9, "epochs": 2}}, {"ppo.gamma": 0.5, "seed": 1})
@@ -85,7 +85,7 @@ def merged(*sources: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested mappings as one of dotted names: what :func:`merged` takes apart.
+    """Return nested mappings as one of dotted names, the inverse of :func:`merged`.
 
     Example:
         >>> flat({"ppo": {"gamma": 0.9}, "seed": 1})
@@ -110,7 +110,7 @@ def to_text(value: Any) -> str:
 
 
 def from_text(kind: type[Settings], path: str, text: str) -> Any:
-    """Return what a word of the command line says, as the kind of the setting; itself if it is none of that kind.
+    """Return a word of the command line converted to the type of the setting; unchanged if it does not fit.
 
     Args:
         kind: the configuration.

@@ -1,4 +1,4 @@
-"""A named collection whose look-ups explain themselves, and the user's modules that add to it."""
+"""Registries of named entries with helpful look-up errors, and import of user modules that add to them."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ T = TypeVar("T")
 
 
 class UnknownNameError(UserError, KeyError, ValueError):
-    """A name that nothing has; the message lists those there are."""
+    """Error of an unknown name; the message lists the known ones."""
 
     def __str__(self) -> str:
         return str(self.args[0])
 
 
 def unknown(kind: str, name: object, known: Iterable[str], hint: str = "") -> UnknownNameError:
-    """The error for a name that is none of ``known``.
+    """Return the error for a name that is not in ``known``.
 
     Example:
         >>> print(unknown("robot", "A1", ["a1", "go1"]))
@@ -41,7 +41,7 @@ def unknown(kind: str, name: object, known: Iterable[str], hint: str = "") -> Un
 
 
 def nearest(name: str, known: Iterable[str], otherwise: str | None = None) -> str:
-    """What to say to someone who asked for ``name``: the most similar of ``known``, else ``otherwise``, else all.
+    """Return a hint for the unknown ``name``: the most similar of ``known``, else ``otherwise``, else all.
 
     Example:
         >>> nearest("jionts", ["joints", "feet"])
@@ -57,7 +57,7 @@ def nearest(name: str, known: Iterable[str], otherwise: str | None = None) -> st
 
 
 def nearest_entry(key: NestedKey, entries: TensorDictBase | Composite) -> str:
-    """What to say to someone who asked for ``key``: the most similar of all entries, else the names at the root.
+    """Return a hint for the unknown ``key``: the most similar of all entries, else the names at the root.
 
     Example:
         >>> from tensordict import TensorDict
@@ -73,7 +73,7 @@ class Registry(Generic[T]):
 
     Args:
         kind: what the entries are, for messages (``"robot"``).
-        hint: what else someone can do who asks for an unknown one.
+        hint: remedy for an unknown name, for messages.
 
     Example:
         >>> colours = Registry("colour")
@@ -87,7 +87,7 @@ class Registry(Generic[T]):
         self._entries: dict[str, T] = {}
 
     def register(self, name: str, entry: T) -> T:
-        """Adds ``entry``; a name can be taken only once.
+        """Add ``entry``; a name can be taken only once.
 
         Raises:
             InputError: (a ``ValueError``) if ``name`` is taken.
@@ -98,17 +98,17 @@ class Registry(Generic[T]):
         return entry
 
     def get(self, name: str) -> T:
-        """The entry called ``name``.
+        """Return the entry called ``name``.
 
         Raises:
-            UnknownNameError: if there is none; lists the names there are.
+            UnknownNameError: if there is none; lists the known names.
         """
         if not isinstance(name, str) or name not in self._entries:
             raise unknown(self.kind, name, self._entries, self.hint)
         return self._entries[name]
 
     def names(self) -> tuple[str, ...]:
-        """All names, in the order of registration."""
+        """Return all names, in the order of registration."""
         return tuple(self._entries)
 
     def __iter__(self) -> Iterator[str]:
@@ -119,7 +119,7 @@ class Registry(Generic[T]):
 
 
 def import_modules(names: Sequence[str], where: str = "run where it can be found, and imports alone") -> None:
-    """Imports user modules, so that they register what is theirs; the working directory counts, as for ``python -m``.
+    """Import user modules, which register their entries; the working directory counts, as for ``python -m``.
 
     Args:
         names: of the modules.

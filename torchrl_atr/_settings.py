@@ -21,12 +21,12 @@ from torchrl_atr._registry import nearest
 
 
 class ConfigError(UserError, ValueError):
-    """A configuration that names something unknown or holds an impossible value."""
+    """Error of a configuration that has an unknown name or an invalid value."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """The declaration of one field.
+    """Declaration of one field.
 
     Attributes:
         within: range of a number, both ends included.
@@ -55,7 +55,7 @@ class Setting:
 
     @property
     def range(self) -> str:
-        """What it may be, in words: limits and unit of a number, else the choices."""
+        """Allowed values in words: limits and unit of a number, else the choices."""
         if typing.get_origin(self.kind) is Literal:
             return ", ".join(typing.get_args(self.kind))
         limits = "" if self.within is None else "{:.10g} to {:.10g}".format(*self.within)
@@ -89,7 +89,7 @@ def setting(default: Any, *, within: tuple[float, float] | None = None, **more: 
 
 @dataclass(frozen=True)
 class Settings:
-    """A group of settings; every value is checked by its declaration and kept as Python's own kind.
+    """Group of settings; every value is checked by its declaration and stored as Python's own type.
 
     Raises:
         ConfigError: for a value of another kind or out of range; names it, and range and unit.
@@ -129,7 +129,7 @@ def _settings(kind: Any, prefix: str = "") -> dict[str, Setting]:
 
 @functools.cache
 def _texts(kind: type) -> dict[str, str]:
-    """Return the texts below the fields of a class, by name; none where its source is not at hand."""
+    """Return the texts below the fields of a class, by name; empty if its source is not available."""
     try:
         tree = ast.parse(textwrap.dedent(inspect.getsource(kind)))
     except (OSError, SyntaxError):
@@ -157,7 +157,7 @@ def joined(group: str, name: str) -> str:
 
 
 def _checked(path: str, value: Any, kind: Any, declared: Setting, default: Any) -> Any:
-    """Return a value as its kind.
+    """Return a value converted to its type.
 
     Raises:
         ConfigError: if it is of another kind or out of range.
@@ -206,7 +206,7 @@ def _in_range(path: str, kind: type, value: Any, declared: Setting) -> float | i
 
 
 def _part(path: str, kind: Any, value: Any, declared: Setting) -> Any:
-    """Return a value of a mapping that is a small dataclass of its own."""
+    """Return a value of a mapping, itself a mapping, as a small dataclass."""
     if not isinstance(value, Mapping):
         raise TypeError
     hints = typing.get_type_hints(kind)

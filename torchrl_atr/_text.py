@@ -1,4 +1,4 @@
-"""Numbers in columns that stay columns whatever the numbers are."""
+"""Formatting of numbers in columns of fixed width."""
 
 from __future__ import annotations
 

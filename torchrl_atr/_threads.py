@@ -1,4 +1,4 @@
-"""Let torch use as many threads as CPUs are free, and one where others only cost."""
+"""Number of torch's threads: as many as CPUs are free, and one where more only cost time."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def one_torch_thread() -> Iterator[None]:
 
 
 def one_torch_thread_if_small(method: F) -> F:
-    """Decorate a method of what has a ``batch_size``: where that is small, it runs with one of torch's threads.
+    """Decorate a method of an object with a ``batch_size``: if that is small, it runs with one of torch's threads.
 
     Sines, exponentials and the like wake the others however small a tensor is. Each time they have to be waited for,
     long where physics or another process has their CPU, and afterwards they spin on it for a while.
@@ -62,7 +62,7 @@ def one_torch_thread_if_small(method: F) -> F:
 
 
 class TorchThreads:
-    """A context manager within which torch uses a given number of threads, or as many as CPUs are free.
+    """Context manager within which torch uses a given number of threads, or as many as CPUs are free.
 
     Every operation of torch ends when the last of its threads does. Where another process keeps one of them from its
     CPU, all others wait, and training is many times slower than with fewer threads. So the number is halved until it

@@ -1,4 +1,4 @@
-"""The private names of TorchRL that the package relies on, all of them, and what each is for.
+"""All private names of TorchRL that the package relies on, and the purpose of each.
 
 ``tests/test_torchrl_private.py`` has a test for each, which fails when TorchRL renames it or calls it elsewhere.
 
@@ -52,7 +52,7 @@ def carried_root(collector: BaseCollector) -> TensorDictBase:
 
 
 def env_around(transform: Transform) -> EnvBase | None:
-    """Return the env that a transform is attached to, through any ``Compose``; None of none."""
+    """Return the env that a transform is attached to, through any ``Compose``; None if there is none."""
     around: Any = transform
     while isinstance(around, Transform):
         reference = around.__dict__.get("_container")
@@ -66,7 +66,7 @@ def parallel_seeds(env: ParallelEnv) -> list[int] | None:
 
 
 def serial_envs(env: SerialEnv) -> Sequence[EnvBase]:
-    """Return the envs of a SerialEnv; none before it has started."""
+    """Return the envs of a SerialEnv; empty before it has started."""
     return env.__dict__.get("_envs") or ()
 
 
@@ -77,7 +77,7 @@ def schedulable_buffers(loss: LossModule) -> list[str]:
 
 
 class AfterStepTransform(Transform):
-    """A transform that works on each step and on the root of the next one; a subclass overrides :meth:`after_step`."""
+    """Transform of each step and of the root of the next one; a subclass overrides :meth:`after_step`."""
 
     worker_error = "wrap the ParallelEnv or SerialEnv instead"
 
@@ -95,7 +95,7 @@ class AfterStepTransform(Transform):
 
 
 class ExtensibleClipPPOLoss(ClipPPOLoss):
-    """Let a subclass add terms to clipped PPO: of further networks, and of what the actor computes, in one pass of it.
+    """Clipped PPO to which a subclass adds terms of further networks and of the actor's outputs, in one pass of it.
 
     A subclass calls :meth:`_act`, then the terms of PPO and its own on the result::
 
@@ -111,7 +111,7 @@ class ExtensibleClipPPOLoss(ClipPPOLoss):
         **ppo_kwargs: passed to :class:`~torchrl.objectives.ClipPPOLoss`.
 
     Raises:
-        TypeError: if the actor is none, or samples in more than one module.
+        TypeError: if the actor is of another class, or samples in more than one module.
     """
 
     _in_keys: list[NestedKey] | None
@@ -153,11 +153,11 @@ class ExtensibleClipPPOLoss(ClipPPOLoss):
         return dist.entropy().unsqueeze(-1) if has_analytic_entropy(dist) else super()._get_entropy(dist, adv_shape)
 
     def further_in_keys(self) -> list[NestedKey]:
-        """Return what a subclass's terms read; also called while the parent's constructor runs."""
+        """Return the entries that a subclass's terms read; also called while the parent's constructor runs."""
         return []
 
     def further_out_keys(self) -> list[NestedKey]:
-        """Return what a subclass's terms are called."""
+        """Return the names of a subclass's terms."""
         return []
 
     def _set_in_keys(self) -> None:
@@ -166,7 +166,7 @@ class ExtensibleClipPPOLoss(ClipPPOLoss):
 
     @property
     def out_keys(self) -> list[NestedKey]:
-        """The keys of ClipPPOLoss and those of a subclass's terms."""
+        """Keys of ClipPPOLoss and those of a subclass's terms."""
         if self._out_keys is None:
             self._out_keys = [*ClipPPOLoss.out_keys.fget(self), *self.further_out_keys()]  # type: ignore[attr-defined]
         return self._out_keys
@@ -185,7 +185,7 @@ class ExtensibleClipPPOLoss(ClipPPOLoss):
 
     @property
     def _mask_keys(self) -> list[NestedKey]:
-        """Where masks may be; minibatches keep them."""
+        """Keys of masks that the data may hold; minibatches keep them."""
         return list(self._loss_mask_keys())
 
     def _add_network(self, name: str, network: TensorDictModule) -> None:

@@ -1,4 +1,4 @@
-"""What ``torchrl-atr list`` prints, from the registries."""
+"""Output of ``torchrl-atr list``, from the registries."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchrl_atr._settings import settings as declared
 
 
 def _table(rows: Iterable[Iterable[str]]) -> Iterator[str]:
-    """Left-aligned columns, the first row their heads."""
+    """Yield lines of left-aligned columns, the first row their heads."""
     cells = [list(row) for row in rows]
     widths = [max(len(row[i]) for row in cells) for i in range(len(cells[0]))]
     for row in cells:
@@ -20,7 +20,7 @@ def _table(rows: Iterable[Iterable[str]]) -> Iterator[str]:
 
 
 def robots() -> Iterator[str]:
-    """Registered robots with mass, desired height, gains, and the names of joints and feet in our order."""
+    """Yield the registered robots with mass, desired height, gains, and names of joints and feet in our order."""
     import mujoco
 
     from torchrl_atr.envs import ROBOTS
@@ -37,7 +37,7 @@ def robots() -> Iterator[str]:
 
 
 def transporters() -> Iterator[str]:
-    """Registered transporters with their measures; the short names mean the one of the robot's size class."""
+    """Yield the registered transporters with their measures; short names mean the one of the robot's size class."""
     from torchrl_atr.envs import TRANSPORTERS
     from torchrl_atr.envs.interpretation import Interpretation
     from torchrl_atr.envs.models import DESIGNS
@@ -55,7 +55,7 @@ def transporters() -> Iterator[str]:
 
 
 def estimators() -> Iterator[str]:
-    """Registered estimators: what makes them, how many parameters they have by default, what their docstring says."""
+    """Yield the registered estimators: factory, number of parameters by default, first line of the docstring."""
     from torchrl_atr.modules import EstimatorError, available_estimators, get_estimator
     from torchrl_atr.modules.estimators import build_estimator
 
@@ -78,7 +78,7 @@ _HISTORY, _ESTIMATE = (10, 46), 16
 
 
 def _origin(factory: Any) -> str:
-    """Module and name of what was registered, of partials what they call."""
+    """Return module and name of a registered factory; of a partial, those of its function."""
     while isinstance(factory, functools.partial):
         factory = factory.func
     named = factory if hasattr(factory, "__qualname__") else type(factory)
@@ -86,7 +86,7 @@ def _origin(factory: Any) -> str:
 
 
 def _made_by(factory: Any, net: Any) -> Any:
-    """What describes an estimator: its factory if that has a docstring of its own, else its module's class."""
+    """Return the object that describes an estimator: its factory if that has a docstring, else its module's class."""
     while isinstance(factory, functools.partial):
         factory = factory.func
     return factory if getattr(factory, "__doc__", None) else type(net)
@@ -105,7 +105,7 @@ def rewards() -> Iterator[str]:
 
 
 def tasks() -> Iterator[str]:
-    """Yield the registered tasks: what makes them, what a command asks for, what their docstring says."""
+    """Yield the registered tasks: factory, components of a command, first line of the docstring."""
     from torchrl_atr.envs.tasks import TASKS, make_task
 
     rows = [["task", "made by", "command", "what it is"]]
@@ -222,7 +222,7 @@ def _value(value: Any) -> str:
 
 
 def _summary(thing: Any) -> str:
-    """The first line of its own docstring, not of one that it inherits."""
+    """Return the first line of an object's own docstring, not of one that it inherits."""
     return inspect.cleandoc(getattr(thing, "__doc__", None) or "").partition("\n")[0]
 
 
@@ -237,4 +237,4 @@ LISTINGS: dict[str, Callable[[], Iterable[str]]] = {
     "presets": presets,
     "settings": settings,
 }
-"""What can be listed."""
+"""Listings by the name that ``torchrl-atr list`` takes."""

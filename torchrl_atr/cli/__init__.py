@@ -24,7 +24,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return _run(argv, interrupt)
         except KeyboardInterrupt as stop:
             number = getattr(stop, "signal", signal.SIGINT)
-        except Exception:  # what the signal did to a child, or to a library that was being imported
+        except Exception:  # caused by the signal in a child process or in a library during import
             if interrupt.signal is None:
                 raise
             number = interrupt.signal
@@ -38,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(argv: Sequence[str] | None, interrupt: Interrupt) -> int:
-    from torchrl_atr.cli.commands import COMMANDS  # here, so that a signal is met as early as can be
+    from torchrl_atr.cli.commands import COMMANDS  # here, so that signals are handled as early as possible
     from torchrl_atr.cli.parser import build_parser, refuse
 
     words = sys.argv[1:] if argv is None else list(argv)
@@ -47,7 +47,7 @@ def _run(argv: Sequence[str] | None, interrupt: Interrupt) -> int:
         refuse(arguments, unknown[0])
     prepare_environment()
     try:
-        # of train every setting is an option, which tyro parses
+        # every setting is an option of train, which tyro parses
         return COMMANDS[arguments.command](words[1:] if arguments.command == "train" else arguments) or 0
     except (UserError, OSError, ImportError) as error:
         if interrupt.signal is not None:

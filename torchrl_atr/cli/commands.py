@@ -1,4 +1,4 @@
-"""What each command does."""
+"""Functions of the commands of ``torchrl-atr``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def train(words: Sequence[str]) -> int:
-    """``torchrl-atr train``; a run that a signal stopped ends as shells expect, with 128 and the signal's number."""
+    """Run ``torchrl-atr train``; if a signal stops it, return 128 plus the signal's number, as shells expect."""
     from torchrl_atr.cli.train_options import DEFAULT_RUN, parse_train
     from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
     from torchrl_atr.training.checkpoint import NAME
@@ -43,12 +43,12 @@ def train(words: Sequence[str]) -> int:
 
 
 def _config_from(run: Path, given: dict[str, Any]) -> tuple[TrainConfig, set[str]]:
-    """Return another run's settings with those that are given in their place, and which of its model are given."""
+    """Return another run's settings with the given ones in their place, and the names of the given task settings."""
     from torchrl_atr.training import ConfigError, load_checkpoint, make_config
     from torchrl_atr.training.restoring import saved_settings
 
     settings = saved_settings(load_checkpoint(run), run, given.get("imports", ()))
-    if (preset := given.get("preset", settings["preset"])) != settings["preset"]:  # all of whose settings are taken
+    if (preset := given.get("preset", settings["preset"])) != settings["preset"]:  # its settings are all taken
         raise ConfigError(f"--preset {preset}: --from {run} keeps that run's, {settings['preset']}; leave it out")
     return make_config(settings, given, {"imports": settings["imports"]}), set(given.get("task", ()))
 
@@ -74,7 +74,7 @@ def _resume(arguments: TrainArguments) -> int:
 
 
 def _train(trainer: Trainer) -> int:
-    """Trains, and says where the run is and what to do with it."""
+    """Train, and print where the run is and what to do with it."""
     signal = trainer.train()
     run, amount = shlex.quote(str(trainer.run)), f"{trainer.frames:,} robot steps in {trainer.seconds / 60:.1f} minutes"
     say(f"{'finished' if signal is None else 'stopped'} after {amount}; the run is in {run}")
@@ -85,7 +85,7 @@ def _train(trainer: Trainer) -> int:
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
-    """``torchrl-atr evaluate``."""
+    """Run ``torchrl-atr evaluate``."""
     from functools import partial
 
     from torchrl_atr._threads import TorchThreads
@@ -138,7 +138,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
 
 def _record_range(measured: Measured, run: Path) -> str:
-    """Write the mastered range of commands into the run folder, and say so; one that is there goes if there is none."""
+    """Write the mastered range of commands into the run folder, or remove it if there is none; return a line on it."""
     from torchrl_atr.evaluation import TrackingResult, mastered_range
     from torchrl_atr.modules import COMMAND_RANGE
 
@@ -157,13 +157,13 @@ def _checkpoint(arguments: argparse.Namespace) -> str | None:
 
 
 def _other_model(arguments: argparse.Namespace) -> dict[str, Any]:
-    """The env arguments that take the place of the run's robot or transporter, if any are asked for."""
+    """Return the env arguments that replace the run's robot or transporter, if any are given."""
     asked = {name: getattr(arguments, name) for name in ("robot", "transporter")}
     return {name: value for name, value in asked.items() if value is not None}
 
 
 def _report_folder(arguments: argparse.Namespace) -> Path:
-    """Where the report goes: a run's own is of the robot and transporter that it was trained on."""
+    """Return the folder of the report; the run's own is for the robot and transporter that it was trained on."""
     from torchrl_atr.training import ConfigError
 
     own = arguments.run if arguments.protocol == "tracking" else arguments.run / arguments.protocol
@@ -182,7 +182,7 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
 
 
 def play(arguments: argparse.Namespace) -> None:
-    """``torchrl-atr play``."""
+    """Run ``torchrl-atr play``."""
     from torchrl_atr.evaluation import play_viewer, record_video
     from torchrl_atr.training import DEPLOYED, load_run
 
@@ -197,7 +197,7 @@ def play(arguments: argparse.Namespace) -> None:
 
 
 def _imports_of(dump: Path) -> Sequence[str]:
-    """The modules that a dump's run remembers; none if the dump is not in a run's folder."""
+    """Return the modules that a dump's run imports; empty if the dump is not in a run's folder."""
     from torchrl_atr.training import ConfigError, read_config
     from torchrl_atr.training.run_files import CONFIG
 
@@ -208,12 +208,12 @@ def _imports_of(dump: Path) -> Sequence[str]:
 
 
 def replay(arguments: argparse.Namespace) -> None:
-    """``torchrl-atr replay``."""
+    """Run ``torchrl-atr replay``."""
     from torchrl_atr.evaluation import replay as replayed
 
     import_modules(arguments.imports or _imports_of(arguments.dump))
     say(replay_head())
-    with closing(replayed(arguments.dump, arguments.video)) as steps:  # whatever ends it, the video ends here, too
+    with closing(replayed(arguments.dump, arguments.video)) as steps:  # finish the video in any case
         for step in steps:
             say(replay_line(step))
     if arguments.video is not None:
@@ -221,7 +221,7 @@ def replay(arguments: argparse.Namespace) -> None:
 
 
 def write_model(arguments: argparse.Namespace) -> None:
-    """``torchrl-atr model``."""
+    """Run ``torchrl-atr model``."""
     from torchrl_atr.envs import get_robot, get_transporter
     from torchrl_atr.envs.models import Transporter, scene_xml
 
@@ -234,7 +234,7 @@ def write_model(arguments: argparse.Namespace) -> None:
 
 
 def bench(arguments: argparse.Namespace) -> None:
-    """``torchrl-atr bench``: its code stands beside the package in a clone, outside of what is installed."""
+    """Run ``torchrl-atr bench``; its code is beside the package in a clone and is not installed."""
     root = Path(__file__).parents[2]
     if not (root / "benchmarks" / "bench.py").is_file():
         raise UserError("the benchmark is not part of the installed package; run it from a clone, after scripts/setup")
@@ -248,7 +248,7 @@ def bench(arguments: argparse.Namespace) -> None:
 
 
 def show_list(arguments: argparse.Namespace) -> None:
-    """``torchrl-atr list``."""
+    """Run ``torchrl-atr list``."""
     import_modules(arguments.imports or ())
     if arguments.markdown and arguments.what != "settings":
         raise UserError(f"--markdown is for settings, not for {arguments.what}; leave it out")

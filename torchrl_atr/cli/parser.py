@@ -1,4 +1,4 @@
-"""What the command line understands, and how it refuses the rest."""
+"""Parser of the command line, and its errors for unknown arguments."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PROTOCOL_HELP = (
 
 
 def _path(text: str) -> Path:
-    if not text.strip():  # of an unset shell variable; Path("") would be the working directory
+    if not text.strip():  # from an unset shell variable; Path("") would be the working directory
         raise argparse.ArgumentTypeError("it is empty; give a path")
     return Path(text)
 
@@ -32,7 +32,7 @@ def _run(text: str) -> Path:
 
 
 def _number(kind: Callable[[str], float], low: float, high: float) -> Callable[[str], float]:
-    """A reader of numbers in [low, high] for argparse, which says which option is wrong."""
+    """Return a parser of numbers in [low, high] for argparse, which names the wrong option."""
 
     def read(text: str) -> float:
         try:
@@ -51,18 +51,18 @@ _seed = _number(int, 0, 2**31 - 1)
 
 
 def option(name: str) -> str:
-    """Return what the command line calls an option of ``evaluate``."""
+    """Return the name of an option of ``evaluate`` on the command line."""
     return {"pushes": "--no-pushes"}.get(name, f"--{name.replace('_', '-')}")
 
 
 def build_parser() -> argparse.ArgumentParser:
-    """The command line, every command with its help."""
+    """Return the parser of the command line, every command with its help."""
     parser = argparse.ArgumentParser(
-        prog="torchrl-atr", description="Quadrupeds that ride personal transporters, walk, and do tasks of your own."
+        prog="torchrl-atr", description="Quadrupeds that ride personal transporters, walk, and do custom tasks."
     )
     parser.add_argument("--version", action="version", version=f"torchrl-atr {__version__}")
     commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("train", help="train a policy; go on from a run with --resume", add_help=False)
+    commands.add_parser("train", help="train a policy; continue a run with --resume", add_help=False)
     _add_evaluate(commands.add_parser("evaluate", help="measure how the deployed policy tracks commands, or lasts"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
@@ -71,8 +71,8 @@ def build_parser() -> argparse.ArgumentParser:
     replay.add_argument("--video", type=_path, help="write an .mp4 or .gif, slowed down ten times")
     _add_bench(commands.add_parser("bench", help="measure speed against limits and peers (from a clone)"))
     model = commands.add_parser("model", help="write a robot on its transporter as one MJCF file")
-    model.add_argument("robot", help="a name, or a .toml file that describes one of your own")
-    model.add_argument("transporter", help="a name, or a .toml file that describes one of your own")
+    model.add_argument("robot", help="a name, or a .toml file that describes a custom one")
+    model.add_argument("transporter", help="a name, or a .toml file that describes a custom one")
     model.add_argument(
         "--output", type=_path, required=True, metavar="FILE", help="an .xml for python -m mujoco.viewer"
     )
@@ -106,7 +106,7 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
         "--max-speed", type=_number(float, 0, 100), help="m/s; default: 2, or the task's if less; of paper: 15"
     )
     parser.add_argument("--max-yaw-rate", type=_number(float, 0, 100), help="rad/s; default: 1; of paper: 2")
-    parser.add_argument("--sensors", metavar="NAME", help="ideal, realistic or one of your own; default: the run's")
+    parser.add_argument("--sensors", metavar="NAME", help="ideal, realistic or a custom set; default: the run's")
     source_text = (
         "estimated: what a robot has; privileged: the truth, to tell errors of estimates from those of control"
     )
@@ -152,6 +152,6 @@ def refuse(arguments: argparse.Namespace, text: str) -> None:
     """Exit with code 2 for an argument that the command does not have."""
     name = text.partition("=")[0].lstrip("-")
     options = re.findall(r"--[a-z-]+", arguments.parser.format_usage())
-    similar = nearest(name, (option.removeprefix("--") for option in options), otherwise="")  # dashes say nothing
+    similar = nearest(name, (option.removeprefix("--") for option in options), otherwise="")  # dashes look alike
     hint = similar.replace("'", "'--", 1) or f"see torchrl-atr {arguments.command} --help"
     arguments.parser.error(f"unknown argument {text!r}; {hint}")

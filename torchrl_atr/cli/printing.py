@@ -26,10 +26,10 @@ _REPLAY = (("step", 8), ("v, m/s", 11), ("w, rad/s", 11), ("tilt, rad", 11), ("m
 
 
 class StepCounter:
-    """Shows how many steps are done: in one line of a terminal, elsewhere in a line now and then.
+    """Display of the number of steps done: one line that is redrawn in a terminal, elsewhere a line at intervals.
 
     Args:
-        what: goes on.
+        what: name of the activity.
         every: steps between two updates in a terminal; ten times as many elsewhere.
 
     Example:
@@ -46,14 +46,14 @@ class StepCounter:
         self._open = False
 
     def __call__(self, done: int, total: int) -> None:
-        """Takes note of ``done`` of ``total`` steps."""
+        """Print ``done`` of ``total`` steps, at intervals."""
         if done % self._every == 0 or done == total:
             text = f"{self.what}: {done} of {total} control steps"
             say(f"\r{text}" if self._redraws else text, end="" if self._redraws else "\n")
             self._open = self._redraws
 
     def note(self, text: str) -> None:
-        """Write a line of its own."""
+        """Print a separate line."""
         self._end_line()
         say(text)
 
@@ -70,7 +70,7 @@ class StepCounter:
 
 
 def headlines(metrics: dict[str, Any]) -> Iterator[str]:
-    """Lines of the headline figures, beside those of a board that never moves, from which nobody falls."""
+    """Yield lines of the headline figures, beside those of a board that never moves, from which no robot falls."""
     still = metrics["do_nothing"]
     yield f"{'':40}{'ours':>10}{'still board':>14}"
     for name, unit in _HEADLINES.items():
@@ -78,7 +78,7 @@ def headlines(metrics: dict[str, Any]) -> Iterator[str]:
 
 
 def endurance_lines(metrics: dict[str, Any]) -> Iterator[str]:
-    """Lines of an endurance evaluation's headline: figures with their 95 % intervals, and the causes of falls."""
+    """Yield lines of an endurance evaluation: headline figures with 95 % intervals, and the causes of falls."""
     still, up, seconds = metrics["do_nothing"], metrics["survival_over_time"], metrics["seconds"]
     yield f"{'':40}{'ours':>10}{'95 % interval':>20}{'still board':>14}"
     shown = {float(round(seconds * share)) for share in (1 / 6, 1 / 3, 2 / 3)} | {seconds}
@@ -104,7 +104,7 @@ def _endurance_line(
 
 
 def estimator_lines(errors: dict[str, Any] | None) -> Iterator[str]:
-    """Lines of Table V: the estimates' errors by component; none without estimates.
+    """Yield lines of Table V: the estimates' errors by component; none without estimates.
 
     Args:
         errors: ``estimator_errors`` of the metrics.
@@ -119,12 +119,12 @@ def estimator_lines(errors: dict[str, Any] | None) -> Iterator[str]:
 
 
 def replay_head() -> str:
-    """The head of ``replay``'s columns."""
+    """Return the head of ``replay``'s columns."""
     return "".join(f"{head:>{width}}" for head, width in _REPLAY)
 
 
 def replay_line(step: ReplayedStep) -> str:
-    """One step in ``replay``'s columns, which large values do not fill."""
+    """Return one step in ``replay``'s columns, which leave a space before large values."""
     values = (step.speed, step.yaw_rate, step.tilt, step.largest_velocity, step.largest_action)
     cells = [f" {number(value, width - 1, 3)}" for value, (_, width) in zip(values, _REPLAY[1:])]
     return f"{step.step:>{_REPLAY[0][1]}}{''.join(cells)}{'  failed' if step.diverged else ''}"

@@ -1,4 +1,4 @@
-"""How ``evaluate`` measures: the protocols, and which options each has."""
+"""Protocols of ``evaluate``, and the options of each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Progress = Callable[[int, int], None]
 
 
 class Measured(NamedTuple):
-    """The outcome of a protocol: result and metrics, what writes the report into a folder, and the lines to print."""
+    """Outcome of a protocol: result and metrics, the function that writes the report, and the lines to print."""
 
     result: TrackingResult | EnduranceResult
     metrics: dict[str, Any]
@@ -29,12 +29,11 @@ class Measured(NamedTuple):
 
 
 class Protocol(NamedTuple):
-    """A way to measure.
+    """Protocol of a measurement.
 
     Attributes:
-        measure: does it.
-        options: those that it has, by name, with the values that they take if they are not given; None for what depends
-            on the task.
+        measure: function that carries it out.
+        options: its options by name, with their defaults; None for a default that depends on the task.
     """
 
     measure: Callable[..., Measured]
@@ -42,7 +41,7 @@ class Protocol(NamedTuple):
 
 
 def fill_options(arguments: argparse.Namespace) -> None:
-    """Give the options of the chosen protocol that are not given their values, and refuse those of others.
+    """Set options of the chosen protocol that are not given to their defaults, and refuse those of others.
 
     Raises:
         ConfigError: names the options that the protocol does not have.
@@ -69,7 +68,7 @@ def tracking(
     make_env: Callable[..., Any],
     progress: Progress,
 ) -> Measured:
-    """Measure how every command of a grid is tracked, 10 s from rest without pushes."""
+    """Measure the tracking of every command of a grid, 10 s from rest without pushes."""
     from torchrl_atr.evaluation import evaluate_tracking, tracking_metrics, write_report
 
     result = evaluate_tracking(
@@ -156,5 +155,5 @@ PROTOCOLS: dict[str, Protocol] = {
     "paper": Protocol(tracking, _PAPER),
     "endurance": Protocol(endurance, _ENDURANCE),
 }
-"""By the name that ``--protocol`` takes. ``paper`` is the paper's evaluation: one robot of the test range at each of
-12,341 commands, 10 s from rest."""
+"""Protocols by the name that ``--protocol`` takes. ``paper`` is the paper's evaluation: one robot of the test range at
+each of 12,341 commands, 10 s from rest."""

@@ -1,4 +1,4 @@
-"""What ``torchrl-atr train`` understands: every setting by its dotted name, parsed by tyro, and paths."""
+"""Command line of ``torchrl-atr train``: every setting by its dotted name, parsed by tyro, and paths."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ RESUMABLE = ("total_frames", "max_minutes", "compute.device", "imports")
 _PATHS = {
     "config": "File with any settings, .toml or .json, such as a run's config.toml.",
     "output": f"The run folder (default: {DEFAULT_RUN}).",
-    "resume": "Go on with this run as if it had not stopped.",
+    "resume": "Continue this run as if it had not stopped.",
     "start": "Begin a new run with this one's networks, optimisers, command grid and settings, but for those given.",
 }
 _DESCRIPTION = """Train a policy. Of a setting's sources the later wins: its default, the preset's, the task's, the
@@ -35,7 +35,7 @@ file's (--config) or the other run's (--from, then --config), the command line's
 
 @dataclass(frozen=True)
 class TrainArguments:
-    """The words of a command line, taken apart.
+    """Parsed command line.
 
     Attributes:
         given: settings by dotted name.
@@ -52,7 +52,7 @@ class TrainArguments:
 
 
 def option(path: str) -> str:
-    """Return what the command line calls a setting.
+    """Return the name of a setting on the command line.
 
     Example:
         >>> option("env.num_envs"), option("ppo.clip_epsilon"), option("imports")
@@ -67,7 +67,7 @@ def parse_train(words: Sequence[str]) -> TrainArguments:
     """Parse the words after ``torchrl-atr train``; ``--help`` prints and ends the process.
 
     Raises:
-        ConfigError: for a word that it does not understand, an option without a value, or an empty path.
+        ConfigError: for an unknown word, an option without a value, or an empty path.
 
     Example:
         >>> parse_train(["--num-envs", "64", "--task.rewards.heading-alignment", "-2"]).given
@@ -89,7 +89,7 @@ def parse_train(words: Sequence[str]) -> TrainArguments:
 def _path(name: str, text: str | None) -> Path | None:
     if text is None:
         return None
-    if not text.strip():  # of an unset shell variable; Path("") would be the working directory
+    if not text.strip():  # from an unset shell variable; Path("") would be the working directory
         raise ConfigError(f"{option(name)}: it is empty; give a path")
     path = Path(text)
     if name in ("resume", "start") and path.is_file():
@@ -98,7 +98,7 @@ def _path(name: str, text: str | None) -> Path | None:
 
 
 def _entries(words: list[str]) -> tuple[dict[str, str], list[str]]:
-    """Take the entries of settings that are mappings, whose names only the task knows, out of the words."""
+    """Return the entries of settings that are mappings, whose names only the task knows, and the other words."""
     mappings = [path for path, each in settings(TrainConfig).items() if typing.get_origin(each.kind) is dict]
     texts, rest = {}, []
     while words:
@@ -134,7 +134,7 @@ def _parsed(words: list[str]) -> Any:
 
 
 def _hint(word: str) -> str:
-    """Say which option was meant."""
+    """Return a hint at the option that was meant."""
     name = word.partition("=")[0].lstrip("-").replace("-", "_")
     known = settings(TrainConfig)
     if name in known:  # a mapping
@@ -154,7 +154,7 @@ def _hint(word: str) -> str:
 
 
 def _options() -> type:
-    """Return a dataclass whose fields are all settings, as texts: what is not given is known from what is."""
+    """Return a dataclass whose fields are all settings, as texts; None marks those that are not given."""
     tree: dict[str, Any] = {}
     for path, each in settings(TrainConfig).items():
         *groups, name = path.split(".")

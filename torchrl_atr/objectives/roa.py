@@ -18,7 +18,7 @@ _RENAME = "Give it that out_key, or rename it: loss.set_keys(latent=..., latent_
 
 
 class ROAClipPPOLoss(ExtensibleClipPPOLoss):
-    r"""Compute clipped PPO plus the three regression terms of regularised online adaptation (Eqs. 15-16).
+    r"""Clipped PPO loss with the three regression terms of regularised online adaptation (Eqs. 15-16).
 
     .. math::
         L^{int} = \|\hat z - sg[z]\|^2 + \lambda \|sg[\hat z] - z\|^2, \qquad
@@ -59,7 +59,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
             then hold as ``previous_mean`` (:func:`previous_means`). Defaults to 0: no such term, whatever a
             schedule says later.
         extrinsic_scale (Tensor or nn.Module with ``std``, optional): per-component std that divides the
-            extrinsic error (reading A25); a :class:`~torchrl_atr.modules.RunningNormalizer` is read at
+            extrinsic error (question A25); a :class:`~torchrl_atr.modules.RunningNormalizer` is read at
             every call. None is the plain sum of the paper.
         **ppo_kwargs: passed to :class:`~torchrl.objectives.ClipPPOLoss`.
 
@@ -69,7 +69,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
 
     The coefficients can be scheduled by assignment: ``loss.roa_coeff = 0.1``.
 
-    Examples:
+    Example:
         >>> import torch
         >>> from torchrl.data import Composite, Unbounded
         >>> from torchrl_atr.modules import make_networks
@@ -91,7 +91,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
 
     @dataclass
     class _AcceptedKeys(ClipPPOLoss._AcceptedKeys):
-        """The keys of ClipPPOLoss and those of the regression terms; all can be changed with ``set_keys``.
+        """Keys of ClipPPOLoss and those of the regression terms; all can be changed with ``set_keys``.
 
         Attributes:
             latent (NestedKey): what the encoder writes.
@@ -161,7 +161,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
             self.register_coeff_buffer(name, float(value), device=device)
         self._add_scale(extrinsic_scale)
         self._smooth = smoothness_coeff > 0
-        self._renew_keys()  # they were noted before these networks existed
+        self._renew_keys()  # the parent's constructor listed them before these networks existed
 
     def _add_scale(self, scale: Tensor | nn.Module | None) -> None:
         std = scale.std if isinstance(scale, nn.Module) and hasattr(scale, "std") else scale
@@ -174,11 +174,11 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
 
     @property
     def extrinsic_scale(self) -> Tensor | None:
-        """The std that divides the extrinsic error, (E,), or None."""
+        """Standard deviation that divides the extrinsic error, (E,), or None."""
         return self.extrinsic_std if self.extrinsic_norm is None else cast(Tensor, self.extrinsic_norm.std)
 
     def further_in_keys(self) -> list[NestedKey]:
-        """Return what the networks of the adaptation read, and their targets."""
+        """Return the inputs of the adaptation networks, and their targets."""
         networks = [getattr(self, name, None) for name in ADAPTATION_NETWORKS]
         keys = [key for network in networks if network is not None for key in network.in_keys]
         return [*keys, self.tensor_keys.extrinsic] + [self.tensor_keys.previous_mean] * getattr(self, "_smooth", False)
@@ -190,7 +190,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
 
     @property
     def policy_in_keys(self) -> list[NestedKey]:
-        """What :meth:`policy_loss` reads where advantages and zhat are recorded; masks and value are optional."""
+        """Entries that :meth:`policy_loss` reads if advantages and zhat are recorded; masks and value are optional."""
         keys = self.tensor_keys
         networks = (self.actor_network, self.critic_network, self.encoder_network)
         recorded = [keys.action, keys.sample_log_prob, keys.advantage, keys.value_target, keys.value]
@@ -199,7 +199,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
 
     @property
     def adaptation_in_keys(self) -> list[NestedKey]:
-        """What :meth:`adaptation_loss` reads; masks are optional."""
+        """Entries that :meth:`adaptation_loss` reads; masks are optional."""
         inputs = [key for name in ADAPTATION_NETWORKS for key in getattr(self, name).in_keys]
         return [*inputs, self.tensor_keys.extrinsic, *self._mask_keys]
 
@@ -237,7 +237,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         return TensorDict(self._adaptation_terms(tensordict, latent, self._latent_estimate(tensordict)))
 
     def _latent_of(self, acted: TensorDictBase) -> Tensor:
-        """Return the latent that the actor has just computed; of an actor that computes none, computed here."""
+        """Return the latent that the actor has computed, or compute it if the actor does not."""
         key = self.tensor_keys.latent
         return acted.get(key) if unravel_key(key) in self.actor_network.out_keys else self._latent(acted)
 

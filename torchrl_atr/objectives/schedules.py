@@ -1,4 +1,4 @@
-"""Schedules: of loss coefficients over the progress of a run, of a learning rate by the policy's divergence."""
+"""Schedules of loss coefficients over the progress of a run, and of a learning rate by the policy's divergence."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from torchrl_atr._torchrl_private import schedulable_buffers
 
 
 class LinearSchedule:
-    """Ramp one schedulable coefficient of a loss linearly over the progress of a run (reading A23).
+    """Linear ramp of one schedulable coefficient of a loss over the progress of a run (question A23).
 
-    The paper keeps lambda constant; its ancestors ramp it from 0 to 0.1, which is ``LinearSchedule(loss)``.
+    The paper keeps lambda constant; the code it builds on ramps it from 0 to 0.1, which is ``LinearSchedule(loss)``.
 
     Args:
         loss (LossModule): the loss; the coefficient is set at once to ``start``.
@@ -26,7 +26,7 @@ class LinearSchedule:
     Raises:
         ValueError: if the loss has no such coefficient, or not ``0 <= begin < until <= 1``.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Composite, Unbounded
         >>> from torchrl_atr.modules import make_networks
         >>> from torchrl_atr.objectives import ROAClipPPOLoss
@@ -81,7 +81,7 @@ class LinearSchedule:
 
 
 class DeviceKLAdaptiveLR(KLAdaptiveLR):
-    """TorchRL's :class:`~torchrl.objectives.utils.KLAdaptiveLR` that decides where the divergence is.
+    """Version of TorchRL's :class:`~torchrl.objectives.utils.KLAdaptiveLR` that decides on the divergence's device.
 
     The rate is one tensor beside the parameters, shared by all parameter groups and changed in place: nothing waits for
     a GPU, and a step can be part of a CUDA graph. A divergence that is not finite changes nothing.
@@ -94,7 +94,7 @@ class DeviceKLAdaptiveLR(KLAdaptiveLR):
     Attributes:
         rate (Tensor): the learning rate, a float32 scalar.
 
-    Examples:
+    Example:
         >>> weight = torch.nn.Parameter(torch.zeros(1))
         >>> schedule = DeviceKLAdaptiveLR(torch.optim.Adam([weight], lr=1e-3, fused=True), target_kl=0.01)
         >>> schedule.step(torch.tensor(0.05))
@@ -136,16 +136,16 @@ class DeviceKLAdaptiveLR(KLAdaptiveLR):
         self.rate.copy_(torch.where(stays, self.rate, adapted))
 
     def exceeded(self, kl: Tensor, multiple: float) -> Tensor:
-        """Whether a divergence is more than so many times the target, a bool scalar where it is."""
+        """Return whether a divergence is more than ``multiple`` times the target, a bool scalar on its device."""
         return kl > multiple * self._target
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Restore a schedule; the rate is the one that the optimizer was restored to, before this."""
+        """Restore a schedule; the rate is the optimizer's, which must be restored before."""
         super().load_state_dict(state_dict)
         self.set_rate(float(self.optimizer.param_groups[0]["lr"]))
 
     def set_rate(self, rate: float) -> None:
-        """Go on at this rate, in all parameter groups."""
+        """Set the rate of all parameter groups."""
         self.rate.fill_(rate)
         for group in self.optimizer.param_groups:
             group["lr"] = self.rate

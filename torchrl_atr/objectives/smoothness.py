@@ -1,4 +1,4 @@
-"""What ``loss_smoothness`` of :class:`~torchrl_atr.objectives.ROAClipPPOLoss` reads."""
+"""Mean actions of the step before, for ``loss_smoothness`` of :class:`~torchrl_atr.objectives.ROAClipPPOLoss`."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from torch import Tensor
 
 
 def previous_means(means: Tensor, done: Tensor) -> Tensor:
-    """The mean action of the step before, of collected batches; where there was none, the mean action itself.
+    """Return the mean action of the step before in collected batches; if there is none, the mean action itself.
 
     Args:
-        means: that a rollout recorded, (N, T, A).
+        means: mean actions that a rollout recorded, (N, T, A).
         done: whether an episode ended with each step, (N, T, 1) bool.
 
     Returns:
         (N, T, A); the first step of the batch and of each episode have nothing before them.
 
-    Examples:
+    Example:
         >>> means, done = torch.arange(4.0).reshape(1, 4, 1), torch.tensor([[[False], [True], [False], [False]]])
         >>> previous_means(means, done).flatten().tolist()
         [0.0, 0.0, 2.0, 2.0]

@@ -1,4 +1,4 @@
-"""The recipe: configuration, trainer, learner, checkpoints and logs."""
+"""Training: configuration, trainer, learner, checkpoints and logs."""
 
 from torchrl_atr._threads import TorchThreads
 from torchrl_atr.training.assembly import (

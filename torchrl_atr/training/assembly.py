@@ -1,4 +1,4 @@
-"""From a configuration to its env, networks, loss and schedules: the recipe's own parts of a run."""
+"""Construction of the env, networks, loss and schedules of a run from its configuration."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from torchrl_atr.training.env_access import attribute
 from torchrl_atr.training.settings import ExplorationConfig
 
 TOGETHER = 10
-"""Time limits are looked at in every so many steps, a divisor of the default recipe's 1000."""
+"""Interval in control steps at which time limits are checked, a divisor of the default recipe's 1000."""
 LOADED: dict[str, Any] = {"compiled": False, "stagger": 0, "compact_storage": False}
-"""Env arguments of a run that is loaded where there may be no compiler, and is not trained on."""
+"""Env arguments of a run that is loaded, not trained: there may be no compiler."""
 TASK_ONLY: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "pushes": False}
-"""Arguments of tasks without what belongs to training only."""
+"""Task arguments that turn off what belongs to training only."""
 DEPLOYED: dict[str, Any] = {
     **LOADED,
     **TASK_ONLY,
@@ -43,7 +43,7 @@ DEPLOYED: dict[str, Any] = {
     "failed_episode_replay": 0.0,
     "grid": None,
 }
-"""Env arguments without what belongs to training only: a ride from rest, at any command, that only a fall ends."""
+"""Env arguments that turn off what belongs to training only: a ride from rest at any command that only a fall ends."""
 
 
 def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
@@ -58,7 +58,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
     Raises:
         ConfigError: for a robot, a transporter or sensors that the task does not have.
     """
-    import_modules(config.imports)  # a config that was sent to another process was checked in the first alone
+    import_modules(config.imports)  # another process has checked a config that was sent to this one
     of_the_task = inspect.signature(TASKS.get(config.task.name)).parameters
     task = {name: overrides.pop(name) for name in list(overrides) if name in of_the_task}
     for part in (*PARTS, "sensors"):
@@ -105,7 +105,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         ConfigError: if a setting asks for an entry that the env does not have.
     """
     spec = env.observation_spec
-    size = spec["observation"].shape[-1]  # the command ends o_t
+    size = spec["observation"].shape[-1]  # the command is the end of o_t
     exploration, output_map = _exploration(config.exploration, env.action_spec.shape[-1])
     critic_inputs: list[NestedKey] = []
     if config.ppo.privileged_critic:
@@ -132,7 +132,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
 
 
 def _exploration(config: ExplorationConfig, actions: int) -> tuple[Exploration, Tensor | None]:
-    """Return the exploration, and what makes the actor's outputs move its directions."""
+    """Return the exploration, and the map from the actor's outputs to its directions; None for joint by joint."""
     if not config.leg_patterns:
         return Exploration(actions, config.init_std, config.min_std), None
     basis = hadamard_leg_basis()
@@ -142,17 +142,17 @@ def _exploration(config: ExplorationConfig, actions: int) -> tuple[Exploration, 
 
 
 def _output_map(init_std: Sequence[float], basis: Tensor) -> Tensor:
-    """Return what makes each output of the actor move one direction of exploration, with a gain, (A, A).
+    """Return the (A, A) matrix that maps each output of the actor to one direction of exploration, with a gain.
 
     Adam's steps are alike in all outputs. In units of the exploration's initial variance, a direction's share of the
-    divergence follows what its exploration can teach: what is explored little does not use up the trust region.
+    divergence follows its exploration: a direction that is explored little does not use up the trust region.
     """
     std = torch.as_tensor(init_std, dtype=basis.dtype)
     return (std.square() / std.max()).unsqueeze(-1) * basis.T
 
 
 def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
-    """Check a configuration's estimator in the sizes that the run has, in a fraction of a second.
+    """Check a configuration's estimator with the sizes of the run, in a fraction of a second.
 
     Raises:
         UnknownNameError: for an unregistered estimator.
@@ -200,7 +200,7 @@ def make_run_loss(
         >>> from functools import partial
         >>> class MyLoss(ROAClipPPOLoss):
         ...     pass
-        >>> make_loss = partial(make_run_loss, TrainConfig(), loss_class=MyLoss)  # of a Trainer
+        >>> make_loss = partial(make_run_loss, TrainConfig(), loss_class=MyLoss)  # for Trainer
     """
     arguments: dict[str, Any] = {
         "roa_coeff": config.roa.coeff,
@@ -225,7 +225,7 @@ def make_run_loss(
 
 
 def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
-    """Return by reward term's name the factor that it is learned with, a function of the run's progress in [0, 1].
+    """Return the factor of each reward term by name, a function of the run's progress in [0, 1].
 
     Args:
         env: whose task may have a ``reward_schedule``.
@@ -236,6 +236,6 @@ def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
 def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
     """Return the policy that a run collects with; it shares the networks."""
     actor = networks.rollout_policy(config.roa.act_source)
-    if config.compiles_networks and config.compute.collector == "direct":  # what is compiled cannot be sent to workers
+    if config.compiles_networks and config.compute.collector == "direct":  # compiled modules cannot be sent to workers
         compile_methods(actor.module[0], "forward")
     return correlate(actor, config.exploration.noise_correlation)

@@ -1,4 +1,4 @@
-"""Hook points of a run: what code of the user's own does while a run trains."""
+"""Hook points of a run, at which user code is called during training."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from torchrl_atr.training.trainer import Trainer
 
 Phase = Literal["policy", "estimators"]
-"""What an optimiser step trains: actor, encoder and critic, or both estimators."""
+"""Networks that an optimiser step trains: actor, encoder and critic, or both estimators."""
 _LOG = logging.getLogger(__name__)
 
 
 class Callback:
-    """Code that a :class:`~torchrl_atr.training.Trainer` calls at fixed points; override what is needed.
+    """Base class of code that a :class:`~torchrl_atr.training.Trainer` calls at fixed points; override what is needed.
 
-    Each method does nothing here, and one that is not overridden is never called. They stand for the hooks of
+    Each method does nothing here, and one that is not overridden is never called. They replace the hooks of
     :meth:`torchrl.trainers.Trainer.register_op`, named beside each, which only a TorchRL trainer calls: it has one loss
     and one optimisation stepper (policy and estimators learn in phases here), and its hooks cannot end a run.
 
@@ -40,7 +40,7 @@ class Callback:
     :meth:`on_loss`         with the terms that each optimiser step minimises                   ``process_loss``
     :meth:`on_iteration`    with the metrics of each iteration, before they are logged          ``post_steps_log``
     :meth:`on_checkpoint`   with each checkpoint, before it is written
-    :meth:`on_resume`       with the checkpoint that a run goes on from, once it is restored
+    :meth:`on_resume`       with the checkpoint that a run continues from, once it is restored
     :meth:`on_train_end`    as :meth:`Trainer.train` ends, however it does                      ``shutdown``
     ======================  ==================================================================  =====================
 
@@ -60,7 +60,7 @@ class Callback:
 
     @property
     def name(self) -> str:
-        """What its state is called in a checkpoint, and it in errors; two of one run must differ."""
+        """Name of the callback in checkpoints and errors; two callbacks of a run must differ."""
         return type(self).__name__
 
     def on_train_begin(self, trainer: Trainer) -> None:
@@ -98,18 +98,18 @@ class Callback:
         return terms
 
     def on_iteration(self, metrics: dict[str, float]) -> bool | None:
-        """Look at an iteration's metrics, or add some, which are logged; its time is not part of the run's.
+        """Inspect an iteration's metrics, or add some, which are logged; its time is not part of the run's.
 
         Returns:
-            Whether the run ends here; None for no.
+            True to end the run here; None or False to continue.
         """
         return None
 
     def on_checkpoint(self, state: dict[str, Any]) -> None:
-        """Look at a checkpoint before it is written; what is added (tensors, numbers, texts) is there on resuming."""
+        """Inspect a checkpoint before it is written; what is added (tensors, numbers, texts) is in it on resuming."""
 
     def on_resume(self, state: Mapping[str, Any]) -> None:
-        """Look at the checkpoint that the run goes on from, after :meth:`load_state_dict`."""
+        """Inspect the checkpoint that the run continues from, after :meth:`load_state_dict`."""
 
     def on_train_end(self) -> None:
         """Clean up, after the last checkpoint; also called if an error ended the run."""
@@ -126,14 +126,14 @@ _HOOKS = tuple(name for name in vars(Callback) if name.startswith("on_"))
 
 
 class Callbacks:
-    """The callbacks of a run, in order; knows which hooks are there, so that others cost nothing.
+    """Callbacks of a run, in order; hooks that none overrides cost nothing.
 
     Args:
         callbacks: each a :class:`Callback`.
 
     Raises:
-        ConfigError: if one is none, two have one name, ``in_keys`` are no list of keys, or a state is more than
-            tensors, numbers and texts.
+        ConfigError: if one is not a :class:`Callback`, two have the same name, ``in_keys`` is not a list of keys, or a
+            state is more than tensors, numbers and texts.
     """
 
     def __init__(self, callbacks: Sequence[Callback] = ()) -> None:
@@ -154,20 +154,20 @@ class Callbacks:
         return iter(self._all)
 
     def calling(self, hook: str) -> list[Callback]:
-        """Return those with a hook of their own."""
+        """Return the callbacks that override a hook."""
         return self._by_hook[hook]
 
     @property
     def in_keys(self) -> list[NestedKey]:
-        """What minibatches hold for them."""
+        """Batch entries that minibatches hold for the callbacks."""
         return list(chain.from_iterable(each.in_keys for each in self._all))
 
     def call(self, hook: str, *arguments: Any) -> list[Any]:
-        """Return what a hook of each returns."""
+        """Return the results of a hook of the callbacks that override it."""
         return [getattr(callback, hook)(*arguments) for callback in self._by_hook[hook]]
 
     def through(self, hook: str, data: TensorDictBase, *arguments: Any) -> TensorDictBase:
-        """Return ``data`` after a hook of each; what is given keeps its entries.
+        """Return ``data`` after a hook of each callback; the TensorDict that is given keeps its entries.
 
         Raises:
             ConfigError: if one returns something else than a TensorDict.
@@ -198,7 +198,7 @@ class Callbacks:
         return {name: state for name, state in states.items() if state}
 
     def load_state_dict(self, states: Mapping[str, Any]) -> None:
-        """Restore :meth:`state_dict`; a state of a callback that is not there is left out, with a warning.
+        """Restore :meth:`state_dict`; the state of a callback that the run does not have is skipped, with a warning.
 
         Raises:
             CheckpointError: if a callback cannot take its state.

@@ -1,9 +1,9 @@
 """Checkpoints: plain tensors and numbers, written atomically, loadable with ``weights_only=True``.
 
-They stand for :class:`torchrl.checkpoint.Checkpoint` and ``CheckpointRotation``, which were tried with the committed
-ride's 3.8 MB. What those lack: saving a step once more, as a run does where it ends and where it is resumed, moves the
-old file away first, and a kill in between leaves none that is recognised; a flipped bit is not noticed in a folder, and
-in an archive nothing stands in for the damaged one; nothing is read back before it takes the place of what was there.
+They replace :class:`torchrl.checkpoint.Checkpoint` and ``CheckpointRotation``, which were tried with the committed
+run's 3.8 MB and have these faults: saving a step once more, as a run does at its end and when it is resumed, moves the
+old file away first, and a kill in between leaves none that is recognised; a flipped bit is not detected in a folder,
+and in an archive no earlier file replaces the damaged one; nothing is read back before it replaces the old file.
 The states of the global random generators are TorchRL's.
 """
 
@@ -29,7 +29,7 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
 
 VERSION = 4
-"""Of what a checkpoint holds and how it is named; whoever changes that adds a step to ``scripts/convert_run.py``."""
+"""Version of the contents and names of a checkpoint; a change of them adds a step to ``scripts/convert_run.py``."""
 NAME, PREVIOUS, BEST = "checkpoint.pt", "previous.pt", "best.pt"
 """The last checkpoint of a run, the one before, and the one with the largest episode reward."""
 _LOG = logging.getLogger(__name__)
@@ -55,7 +55,7 @@ def load_rng_state(state: Mapping[str, Any] | Tensor) -> None:
 
 
 class CheckpointError(UserError, RuntimeError):
-    """A checkpoint that is missing, damaged, or from another version."""
+    """Error of a checkpoint that is missing, damaged, or from another version."""
 
 
 def save_checkpoint(path: Path, state: dict[str, Any], best: bool = False) -> None:
@@ -79,7 +79,7 @@ def save_checkpoint(path: Path, state: dict[str, Any], best: bool = False) -> No
             file.flush()
             os.fsync(file.fileno())
         load_checkpoint(temporary)
-        with suppress(FileNotFoundError, zipfile.BadZipFile):  # a damaged one must not replace the one that stood in
+        with suppress(FileNotFoundError, zipfile.BadZipFile):  # a damaged file must not replace the backup
             _check_whole(path)
             _name_too(path, path.with_name(PREVIOUS))
     if best:
@@ -92,22 +92,22 @@ def _name_too(source: Path, target: Path) -> None:
         temporary.unlink()
         try:
             os.link(source, temporary)
-        except OSError:  # not every file system links
+        except OSError:  # some file systems have no links
             shutil.copyfile(source, temporary)
 
 
 def load_checkpoint(path: str | Path, device: str = "cpu") -> dict[str, Any]:
-    """Read a checkpoint; of a run folder whose last one is damaged or gone, the one before.
+    """Read a checkpoint; if the last one of a run folder is damaged or missing, the one before.
 
     Args:
         path: of the file, or of the run folder that holds it.
         device: where tensors go.
 
     Returns:
-        What was saved, with its ``version``.
+        The saved state, with its ``version``.
 
     Raises:
-        CheckpointError: if it is missing, truncated, or of another version; says how one of before is converted.
+        CheckpointError: if it is missing, truncated, or of another version; says how an earlier one is converted.
     """
     path = Path(path)
     run, file = (path, path / NAME) if path.is_dir() else (path.parent, path)
@@ -131,7 +131,7 @@ def read_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
         device: where tensors go.
 
     Raises:
-        CheckpointError: if it is missing, damaged, or none of ours.
+        CheckpointError: if it is missing, damaged, or not a checkpoint of this package.
     """
     if not path.is_file():
         raise CheckpointError(f"there is no checkpoint at {path}; give a run folder that `torchrl-atr train` wrote")
@@ -145,7 +145,8 @@ def read_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
         ) from error
     except (RuntimeError, zipfile.BadZipFile) as error:
         raise CheckpointError(
-            f"the checkpoint {path} cannot be read, it may be truncated or none of ours; restore the file or start anew"
+            f"the checkpoint {path} cannot be read, it may be truncated or another kind of file; restore the file or "
+            "start anew"
         ) from error
     if not isinstance(state, dict) or "version" not in state:
         raise CheckpointError(f"{path} is not a checkpoint of ours; give a run folder that `torchrl-atr train` wrote")

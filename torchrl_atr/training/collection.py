@@ -1,4 +1,4 @@
-"""Where batches come from: a collector in this process, or workers on TorchRL's own engines."""
+"""Collection of batches, by a collector in this process or by workers of TorchRL's engines."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
 
 _PLAIN = {"auto_register_policy_transforms": False}
-"""The policy brings no transforms of its own."""
+"""Arguments of a collector whose policy has no transforms."""
 _CURRICULUM = "env.curriculum"
 _ENDLESS = 2**62
 """Frames, for the engines that do not read -1 as endless."""
 _RESUME_STRIDE = 7919
-"""Between the seeds of a worker that starts at one iteration and at the next."""
+"""Difference of the seeds of a worker that starts at one iteration and at the next."""
 
 
 class CollectionError(UserError, RuntimeError):
-    """Workers that could not be started, or died."""
+    """Error of workers that could not be started, or died."""
 
 
 class Collection:
-    """Batches (N, T) of a policy that is being trained, from one or more batched envs.
+    """Source of batches (N, T) of a policy that is being trained, from one or more batched envs.
 
     With ``collector="direct"`` the env of this process is stepped; otherwise each of ``workers`` steps its share of the
     robots with its share of the CPUs. The curricula of ``process`` and ``ray`` workers are merged by :meth:`exchange`;
@@ -50,7 +50,7 @@ class Collection:
         env: this process's env; a curriculum that it has as ``env.curriculum`` is the one that is saved and shown.
         make_env: ``make_env(num_envs=n, seed=s, num_threads=t)`` for a worker.
         policy: shared with the learner.
-        started: iterations that the run has behind it, so that workers of a resumed run meet other robots.
+        started: iterations that the run has completed, so that workers of a resumed run draw other robots.
 
     Raises:
         CollectionError: if a worker dies while it starts.
@@ -70,7 +70,7 @@ class Collection:
         self.callable = config.compute.collector in ("process", "ray")
         self._broken = False
         self._started = started
-        self._others = set(multiprocessing.active_children())  # of whoever uses this
+        self._others = set(multiprocessing.active_children())  # started by other code
         try:
             with self._workers("could not be started"):
                 self.collector = self._make(make_env)
@@ -111,7 +111,7 @@ class Collection:
         )
 
     def collect(self) -> TensorDictBase:
-        """The next batch, (N, T), in memory that the one after it may be written to.
+        """Return the next batch, (N, T), in memory that the one after it may overwrite.
 
         Raises:
             CollectionError: if a worker died.
@@ -121,7 +121,7 @@ class Collection:
         return batch.contiguous().flatten(0, 1) if batch.ndim == 3 else batch  # stacked lazily by worker
 
     def publish(self) -> None:
-        """Hands the learner's parameters to the workers.
+        """Send the learner's parameters to the workers.
 
         Raises:
             CollectionError: if a worker died.
@@ -132,7 +132,7 @@ class Collection:
 
     @torch.no_grad()
     def exchange(self) -> None:
-        """Merges the workers' curricula by elementwise maximum and gives the result back to all of them.
+        """Merge the workers' curricula by elementwise maximum and send the result to all of them.
 
         Raises:
             CollectionError: if a worker died.
@@ -145,7 +145,7 @@ class Collection:
 
     @contextmanager
     def _workers(self, what: str = "failed") -> Iterator[None]:
-        """Turns what TorchRL's engines raise when a worker is gone into one error."""
+        """Turn the errors that TorchRL's engines raise when a worker is gone into a :class:`CollectionError`."""
         try:
             yield
         except Exception as error:
@@ -154,7 +154,7 @@ class Collection:
             self._broken = True
             raise CollectionError(
                 f"collector={self.config.compute.collector!r}: a worker {what} ({first_line(error)}, see above); "
-                "go on from the last checkpoint with --resume"
+                "continue from the last checkpoint with --resume"
             ) from error
 
     def _spread(self) -> None:
@@ -164,14 +164,14 @@ class Collection:
 
     @property
     def num_diverged(self) -> int | None:
-        """Robots that have failed so far; None where workers cannot be asked, or the env does not count them."""
+        """Number of failed robots so far; None where workers cannot be asked, or the env does not count them."""
         here = attribute(self.env, "num_diverged")
         if not self.remote or here is None:
             return here
         return sum(self.collector.get_distant_attr("env.base_env.num_diverged")) if self.callable else None
 
     def metrics(self) -> dict[str, float]:
-        """Return how far the commands reach, where there is a curriculum, and ``diverged``, where it is known."""
+        """Return the extent of the commands, where there is a curriculum, and ``diverged``, where it is known."""
         metrics: dict[str, float] = {}
         if self.curriculum is not None:
             metrics["command_area"] = self.curriculum.command_area[0]
@@ -180,10 +180,10 @@ class Collection:
         return metrics if diverged is None else {**metrics, "diverged": diverged}
 
     def state_dict(self) -> dict[str, Any]:
-        """What the next batch depends on besides the networks, in plain dicts of tensors; empty with workers.
+        """Return the state that the next batch depends on besides the networks, in tensors; empty with workers.
 
         Workers start new episodes when a run is resumed, and so does an env without a state of its own
-        (:func:`~torchrl_atr.training.env_access.env_state`); in this process the robots go on where they were.
+        (:func:`~torchrl_atr.training.env_access.env_state`); in this process episodes continue.
         """
         env = {} if self.remote else env_state(self.env)
         if not env:
@@ -195,7 +195,7 @@ class Collection:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restores :meth:`state_dict`.
+        """Restore :meth:`state_dict`.
 
         Raises:
             CheckpointError: if it is of other transforms.
@@ -206,15 +206,15 @@ class Collection:
         for name, part in self._stateful():
             part.set_extra_state(state["policy"][name])
         carried = TensorDict(state["carried"], batch_size=self.env.batch_size)
-        carried_root(self.collector).update(carried.exclude("reward_terms"))  # which were carried once
+        carried_root(self.collector).update(carried.exclude("reward_terms"))  # in earlier checkpoints
 
     def _stateful(self) -> list[tuple[str, Any]]:
-        """Parts of the policy with a state that is no parameter: noise that runs on."""
+        """Return name and module of the policy's parts with a state beside parameters, such as correlated noise."""
         plain = torch.nn.Module.get_extra_state
         return [(name, part) for name, part in self.policy.named_modules() if type(part).get_extra_state is not plain]
 
     def shutdown(self) -> None:
-        """Ends the workers, whatever state they are in; this process's env stays open."""
+        """End the workers, whatever state they are in; this process's env stays open."""
         if not self.remote:
             self.collector.shutdown(close_env=False)
             return
@@ -222,10 +222,10 @@ class Collection:
             if hasattr(self, "collector"):  # it was made
                 self.collector.shutdown()
         except RuntimeError:
-            if not self._broken:  # it waits for every worker's answer, and one is gone
+            if not self._broken:  # else it waited for the answer of a worker that is gone
                 raise
         finally:
-            if self._broken:  # it may not have got to its workers, or never have been made
+            if self._broken:  # the collector may not have reached its workers, or not exist
                 for process in set(multiprocessing.active_children()) - self._others:
                     process.kill()
                     process.join()
@@ -234,7 +234,7 @@ class Collection:
 
 
 def _for_cpu_data(policy: TensorDictModuleBase, config: TrainConfig) -> Callable[[TensorDictBase], TensorDictBase]:
-    """What a collector of this process calls, wherever the policy is; as a module it would be copied to the CPU."""
+    """Return the policy, on any device, as a function of CPU data; as a module it would be copied to the CPU."""
     return (
         policy
         if config.compute.device == "cpu"
@@ -243,7 +243,7 @@ def _for_cpu_data(policy: TensorDictModuleBase, config: TrainConfig) -> Callable
 
 
 def _engine(config: TrainConfig, threads: int) -> dict[str, Any]:
-    """Arguments of TorchRL's ``Collector`` that differ between its engines; each worker needs ``threads`` CPUs."""
+    """Return the engine-specific arguments of TorchRL's ``Collector``; each worker needs ``threads`` CPUs."""
     if config.compute.collector == "process":
         # workers wait while the learner computes: it keeps all of its threads
         return {"total_frames": -1, "cat_results": 0, "num_threads": torch.get_num_threads(), **_PLAIN}
@@ -264,7 +264,7 @@ def _free_port() -> int:
 
 
 def _worker_env(make_env: Callable[..., EnvBase], weights: Tensor | None, *, seed: int, **share: Any) -> EnvBase:
-    """A worker's env, with the curriculum as it stands; seeds the exploration of the process it is made in."""
+    """Return a worker's env with the current curriculum; seed the exploration of the process it is made in."""
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the trainer decides
     torch.manual_seed(seed)

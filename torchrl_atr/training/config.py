@@ -1,4 +1,4 @@
-"""The configuration of a run: nested, typed groups of settings, from Python, a file or the command line."""
+"""Configuration of a run: nested, typed groups of settings, from Python, a file or the command line."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.training import settings as groups
 
 SEED_STRIDE = 1000
-"""Between the seeds of two processes that share a run."""
+"""Difference of the seeds of two processes that share a run."""
 
 
 @dataclass(frozen=True)
 class TrainConfig(Settings):
-    """Everything a run depends on besides the code; ``torchrl-atr list settings`` describes every setting.
+    """All settings of a run; ``torchrl-atr list settings`` describes each.
 
     The defaults are riding's. :func:`make_config` also takes the settings of the task and the preset that differ from
     them, as the command line does; this class does not.
@@ -46,13 +46,13 @@ class TrainConfig(Settings):
     """
 
     preset: str = setting("default", alias="preset")
-    """A registered preset, whose settings take the place of the defaults: `list presets`."""
+    """A registered preset, whose settings replace the defaults: `list presets`."""
     seed: int = setting(0, within=(0, 2**31 - 1), alias="seed")
     """Seed of everything."""
     total_frames: int = setting(28_000_000, within=(1, 1e15), alias="total-frames")
     """Robot steps after which training ends, those of earlier sessions of the run included."""
     max_minutes: float = setting(0.0, within=(0, 1e9), unit="minutes", alias="max-minutes")
-    """Wall-clock time after which it ends, whichever comes first; 0 for no limit."""
+    """Wall-clock time after which training ends, whichever comes first; 0 for no limit."""
     imports: tuple[str, ...] = setting(())
     """Modules imported first, so that they can register tasks, estimators, robots and transporters."""
     env: groups.EnvConfig = field(default_factory=groups.EnvConfig)
@@ -74,7 +74,7 @@ class TrainConfig(Settings):
         files: dict[str, Any] = {
             name: str(Path(value).resolve()) for name in COPIES if is_spec_file(value := getattr(self.task, name))
         }
-        if files:  # workers must find them from wherever they run
+        if files:  # workers must find them from any directory
             object.__setattr__(self, "task", dataclasses.replace(self.task, **files))
 
     def replace(self, **values: Any) -> TrainConfig:
@@ -89,16 +89,16 @@ class TrainConfig(Settings):
 
     @property
     def compiles_networks(self) -> bool:
-        """Whether policy and losses are compiled too: for a CPU alone, where it was measured."""
+        """True if policy and losses are compiled too: only on a CPU, where it was measured."""
         return self.compute.compiled and self.compute.device == "cpu"
 
     @property
     def captures_graphs(self) -> bool:
-        """Whether optimiser steps are captured as CUDA graphs: what ``compiled`` is for a learner on a GPU."""
+        """True if optimiser steps are captured as CUDA graphs: the effect of ``compiled`` for a learner on a GPU."""
         return self.compute.compiled and self.compute.device != "cpu"
 
     def threads_each(self, processes: int) -> int:
-        """Return the physics threads of each of so many processes that share the CPUs."""
+        """Return the number of physics threads of each of ``processes`` that share the CPUs."""
         return max(1, (self.compute.num_threads or available_cpus()) // processes)
 
     def make_task(self, **overrides: Any) -> Task:
@@ -124,13 +124,13 @@ class TrainConfig(Settings):
 
     @property
     def title(self) -> str:
-        """What is trained, in a few words."""
+        """Robot and task in a few words."""
         task = self.task
         return f"{task.robot} on {task.transporter}" if task.name == "riding" else f"{task.robot} {task.name}"
 
     @property
     def grid(self) -> CommandGrid | None:
-        """The curriculum's cells and its rule."""
+        """Command grid of the curriculum; None for a task without one."""
         grid, own = self.make_task().command.grid, self.curriculum
         if grid is None:
             return None
@@ -149,7 +149,7 @@ class TrainConfig(Settings):
 
 
 def make_config(*sources: Mapping[str, Any]) -> TrainConfig:
-    """Make a configuration of several sources, the later winning: defaults, the preset's, the task's, then these.
+    """Make a configuration from several sources; later ones win: defaults, the preset's, the task's, then these.
 
     Args:
         *sources: nested mappings, as files hold them, or dotted names; such as a file's and the command line's.
@@ -216,7 +216,7 @@ _ORDER = (
 
 
 def _problems(config: TrainConfig) -> Iterator[str]:
-    """Yield what is wrong with settings that do not go together, each with the remedy."""
+    """Yield a message for each conflict between settings, with the remedy."""
     values, compute = config.to_dict(), config.compute
     for low, high, gap, why in _ORDER:
         one, other = (values[path.split(".")[0]][path.split(".")[1]] for path in (low, high))

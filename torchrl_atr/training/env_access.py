@@ -1,4 +1,4 @@
-"""What a run takes from an env beyond TorchRL's interface, each where the env has it."""
+"""Access to attributes and states of an env beyond TorchRL's interface, where the env has them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def base_of(env: EnvBase) -> EnvBase:
 
 
 def attribute(env: EnvBase, name: str) -> Any:
-    """Return an attribute of the env below all transforms; None where it has none, or is made of several envs."""
+    """Return an attribute of the env below all transforms; None if it lacks it, or is made of several envs."""
     base = base_of(env)
     return None if isinstance(base, BatchedEnvBase) else getattr(base, name, None)
 
@@ -33,12 +33,12 @@ def curriculum_of(env: EnvBase) -> CommandCurriculum | None:
 
 
 def curriculum_state(curriculum: CommandCurriculum | None) -> dict[str, Any] | None:
-    """Return all of a curriculum but its robots' commands; None of none."""
+    """Return the state of a curriculum without its robots' commands; None for no curriculum."""
     return None if curriculum is None else {"weights": curriculum.weights, **curriculum.get_extra_state()}
 
 
 def load_curriculum(curriculum: CommandCurriculum | None, state: dict[str, Any] | None) -> None:
-    """Restore :func:`curriculum_state`, where there is a curriculum and was one."""
+    """Restore :func:`curriculum_state` if there are a curriculum and a state."""
     if curriculum is not None and state is not None:
         curriculum.load_weights(state["weights"])
         curriculum.set_extra_state({name: value for name, value in state.items() if name != "weights"})
@@ -52,7 +52,7 @@ def widen_curriculum(curriculum: CommandCurriculum | None, state: dict[str, Any]
 
 
 def env_state(env: EnvBase) -> dict[str, Any]:
-    """Return all that the env's next step depends on, in plain dicts of tensors; empty without ``get_state``.
+    """Return the state that the env's next step depends on, in dicts of tensors; empty without ``get_state``.
 
     TorchRL's ``env.state_dict()`` has the transforms' part of it alone.
 
@@ -85,8 +85,8 @@ def load_env_state(env: EnvBase, state: dict[str, Any]) -> None:
             env.transform.load_state_dict(state["transforms"])
         except (AttributeError, RuntimeError) as error:
             raise CheckpointError(
-                f"the robots' episodes in the checkpoint do not fit this code ({' '.join(str(error).split())}); go on "
-                "with the code that wrote it, or begin a new run with --from"
+                f"the robots' episodes in the checkpoint do not fit this code ({' '.join(str(error).split())}); "
+                "continue with the code that wrote it, or begin a new run with --from"
             ) from error
     base.set_state(TensorDict(state["env"], batch_size=base.batch_size))
     if "env_rng" in state:

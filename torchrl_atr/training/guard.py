@@ -1,4 +1,4 @@
-"""Optimiser steps that would spoil the networks are left out, and a run that takes no others is ended."""
+"""Guard against non-finite losses and gradients: such optimiser steps are skipped, and a run of nothing else ends."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from torch import Tensor
 from torchrl_atr._errors import UserError
 
 PATIENCE = 10
-"""Optimiser steps in a row that may be left out."""
+"""Number of consecutive optimiser steps that may be skipped."""
 
 
 class TrainingDiverged(UserError, RuntimeError):
-    """Losses or gradients that stay without numbers; the last checkpoint is from before."""
+    """Error of losses or gradients that stay non-finite; the last checkpoint is from before."""
 
 
 class StepGuard:
-    """Says which optimiser steps are to be left out, their loss or gradients not being finite, and counts them.
+    """Detector and counter of optimiser steps to skip, those whose loss or gradients are not finite.
 
-    What is finite stays where it was computed (:meth:`finite`), so that no step waits for a GPU; it is read once an
-    iteration (:meth:`review`). Steps in a row are those of the same optimisers: what the estimators do says nothing
-    about the policy.
+    The flags stay on the device that computed them (:meth:`finite`), so that no step waits for a GPU; they are read
+    once an iteration (:meth:`review`). Consecutive steps are those of the same optimisers: steps of the estimators say
+    nothing about the policy.
 
-    It stands for :class:`torch.amp.GradScaler`, which leaves out steps in the same way, but looks at gradients
-    alone, waits for the GPU at each step of an optimiser that is not fused, and goes on for ever.
+    It replaces :class:`torch.amp.GradScaler`, which skips steps in the same way, but checks gradients alone, waits for
+    the GPU at each step of an optimiser that is not fused, and never ends a run.
 
     Args:
-        patience: how many steps in a row may be left out.
+        patience: number of consecutive steps that may be skipped.
 
     Attributes:
-        skipped: steps left out so far.
+        skipped: steps skipped so far.
 
     Example:
         >>> from tensordict import TensorDict
@@ -49,7 +49,7 @@ class StepGuard:
 
     @staticmethod
     def finite(terms: TensorDictBase, norms: Mapping[str, Tensor]) -> TensorDict:
-        """Whether each loss term and gradient is finite, as bools where they are.
+        """Return for each loss term and gradient whether it is finite, as bool scalars on its device.
 
         Args:
             terms: of the loss; those called ``loss_...`` count.
@@ -59,14 +59,14 @@ class StepGuard:
         return TensorDict(named | {f"the gradient of the {name}": norm.isfinite() for name, norm in norms.items()})
 
     def review(self, kind: str, finite: TensorDictBase) -> None:
-        """Counts the steps of an iteration that were left out.
+        """Count the skipped steps of an iteration.
 
         Args:
             kind: what the steps are of.
             finite: from :meth:`finite`, (steps,).
 
         Raises:
-            TrainingDiverged: after ``patience`` steps in a row that were not; names what is not finite.
+            TrainingDiverged: after more than ``patience`` such steps in a row; names the non-finite values.
         """
         names = list(map(str, finite.keys()))
         for step in torch.stack(list(finite.values()), -1).tolist():
@@ -76,6 +76,6 @@ class StepGuard:
             if self._in_a_row[kind] > self.patience:
                 raise TrainingDiverged(
                     f"{self._in_a_row[kind]} optimiser steps in a row were not finite ({', '.join(culprits)}): the "
-                    "run ends with its last checkpoint, go on from it with --resume or start anew with a lower "
+                    "run ends with its last checkpoint, continue from it with --resume or start anew with a lower "
                     "learning rate"
                 )

@@ -1,7 +1,7 @@
-"""The learner: one batch in, better networks out. PPO with its epochs, then the estimators with theirs.
+"""Learner of a run: epochs of PPO on each batch, then epochs of the estimators.
 
-It stands for TorchRL's ``PPOTrainer`` with its ``OptimizationStepper``: that minimises the sum of all losses with one
-optimiser, where estimators have epochs of their own here, and waits for a GPU at each step.
+It replaces TorchRL's ``PPOTrainer`` with its ``OptimizationStepper``: that minimises the sum of all losses with one
+optimiser, without separate epochs for estimators, and waits for a GPU at each step.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from torchrl_atr.training.restoring import check_moments, deployed_weights
 from torchrl_atr.training.reward_schedule import RewardSchedule, factors_at, with_factors
 
 EMA_WARMUP = 9
-"""Early in a run the mean goes over a ninth of its iterations: what was learned since counts."""
+"""Early in a run the moving average covers a ninth of its iterations, the latest ones."""
 
 
 class Learner:
@@ -101,10 +101,7 @@ class Learner:
 
     @property
     def deployed(self) -> RidingNetworks:
-        """Networks with the running mean of the weights, which follows a batch's noise less than optimiser steps do.
-
-        They are in eval mode.
-        """
+        """Networks with the moving average of the weights, in eval mode; it follows batch noise less than steps do."""
         return cast(RidingNetworks, self._averaged.module)
 
     def _average(self, averaged: Any, current: Any, iterations: Tensor | int) -> None:
@@ -112,9 +109,9 @@ class Learner:
         get_ema_multi_avg_fn(1 - share)(averaged, current, iterations)
 
     def anneal(self, progress: float) -> None:
-        """Lowers the ceiling of the exploration and the KL target late in a run, ramps λ, schedules the reward terms.
+        """Lower the ceiling of the exploration and the KL target late in a run, ramp λ, schedule the reward terms.
 
-        Noise hides which way the board is tilted, and steps that follow a batch's noise unsettle what was learned.
+        Noise hides the sign of the board's tilt, and steps that follow a batch's noise degrade the policy.
 
         Args:
             progress: share of the run that is over, in [0, 1].
@@ -129,21 +126,21 @@ class Learner:
             self._roa_ramp.step(progress)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
-        """One iteration on a batch of shape (N, T).
+        """Run one iteration on a batch of shape (N, T).
 
         Args:
             batch: from a collector that ran ``networks.rollout_policy(config.roa.act_source)``.
 
         Returns:
             Means over the iteration: losses, KL divergence, learning rate, estimator errors; ``action_rate_rms``, the
-            root mean square of the mean actions' changes from step to step; ``skipped_steps``, the optimiser steps left
-            out so far because they were not finite.
+            root mean square of the mean actions' changes from step to step; ``skipped_steps``, the optimiser steps
+            skipped so far because they were not finite.
 
         Raises:
-            TrainingDiverged: if there is none that is finite any more.
+            TrainingDiverged: if steps are no longer finite.
         """
         with torch.no_grad():
-            # a copy: what is added to it, and the weighted reward, is not the caller's
+            # a copy: the caller's batch gets no new entries and no weighted reward
             device = self.config.compute.device  # to a GPU from pinned memory, without waiting
             batch = batch.copy().to(device, non_blocking_pin=device != "cpu")
             batch = with_factors(batch, self._reward_factors)
@@ -164,7 +161,7 @@ class Learner:
         return {**metrics, "skipped_steps": float(self.guard.skipped)}
 
     def _record_latent_estimates(self, flat: TensorDictBase) -> None:
-        """ẑ once an iteration, without gradient: what the encoder is pulled towards (Eq. 15's second term)."""
+        """Record ẑ once an iteration, without gradient: the target of the encoder (Eq. 15's second term)."""
         module = self.networks.intrinsic_estimator_module
         (key,) = module.out_keys
         with torch.no_grad():
@@ -172,7 +169,7 @@ class Learner:
         flat.set(key, torch.cat(parts))
 
     def _shuffled(self, flat: TensorDictBase) -> TensorDictBase:
-        """What the losses read, in another order; whole rows, which torch copies faster than it indexes them."""
+        """Return the entries that the losses read, shuffled; whole rows, which torch copies faster than it indexes."""
         read = flat.select(*self._read["policy"], *self._read["estimators"], strict=False)
         order = torch.randperm(len(flat), device=flat.device)
         return read.apply(lambda entry: entry.index_select(0, order))
@@ -185,16 +182,16 @@ class Learner:
 
     @property
     def _read(self) -> dict[Phase, list[NestedKey]]:
-        """What each phase's steps read."""
+        """Batch entries that the steps of each phase read."""
         loss, more = self.loss, self.callbacks.in_keys
         return {"policy": [*loss.policy_in_keys, *more], "estimators": [*loss.adaptation_in_keys, *more]}
 
     def _epochs(self, phase: Phase, shuffled: TensorDictBase, epochs: int) -> TensorDictBase:
-        """Steps on the same minibatches in every epoch, views of what was shuffled once: a frame is mostly history.
+        """Step on the same minibatches in every epoch, views of data shuffled once: a frame is mostly history.
 
         Returns:
-            What each step reports, (steps,), where it was computed: nothing waits for a GPU before all steps are under
-            way.
+            The reports of the steps, (steps,), on the device that computed them: nothing waits for a GPU before all
+            steps are launched.
         """
         minibatches = shuffled.select(*self._read[phase], strict=False).split(self.minibatch_size)
         step, through = self._steps[phase], self.callbacks.through
@@ -203,10 +200,10 @@ class Learner:
         )
 
     def _policy_step(self, minibatch: TensorDictBase) -> TensorDictBase:
-        """Adapts the rate to how far the policy has gone from the one that made the batch, and steps unless too far.
+        """Adapt the rate to the divergence from the policy that collected the batch; step unless it is too large.
 
-        Before the first step nothing has moved: a divergence of zero says nothing about the rate. After one too many
-        the batch has nothing more to say.
+        Before the first step the divergence is zero, which says nothing about the rate. Once it is too large, the
+        remaining policy steps of the iteration are skipped.
         """
         terms = self.loss.policy_loss(minibatch)
         divergence = _kl_divergence(terms)
@@ -222,7 +219,7 @@ class Learner:
         return self._step(terms, ("estimators",))
 
     def _step(self, terms: TensorDictBase, names: tuple[str, ...], hold: Tensor | None = None) -> TensorDictBase:
-        """One optimiser step, left out where ``hold`` is true or something is not finite; detached terms, and which."""
+        """Step, unless ``hold`` is true or a value is not finite; return detached terms, and which are finite."""
         total = torch.stack([value for key, value in terms.items() if key.startswith("loss_")]).sum()
         for name in names:
             self.optimizers[name].zero_grad(set_to_none=True)
@@ -233,18 +230,18 @@ class Learner:
         left_out = left_out if hold is None else left_out | hold
         for name in names:
             optimizer: Any = self.optimizers[name]
-            optimizer.found_inf = left_out.float()  # where a fused optimiser looks, on the device
+            optimizer.found_inf = left_out.float()  # a fused optimiser reads it on the device
             optimizer.step()
         return TensorDict({**terms.detach().apply(torch.mean).to_dict(), "finite": finite})
 
     def _means(self, name: str, steps: TensorDictBase) -> dict[str, float]:
-        """Means of an iteration's terms, and its steps reviewed: here a GPU is waited for."""
+        """Review an iteration's steps and return the means of its terms: here a GPU is waited for."""
         self.guard.review(name, steps["finite"])
         terms = steps.exclude("finite").mean(0)
         return dict(zip(map(str, terms.keys()), torch.stack(list(terms.values())).tolist()))
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that training changes here: networks, their mean, optimisers, schedule."""
+        """Return everything that training changes here: networks, their moving average, optimisers, schedule."""
         return {
             "networks": self.networks.state_dict(),
             "deployed": self.deployed.state_dict(),
@@ -257,7 +254,7 @@ class Learner:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restores :meth:`state_dict`."""
+        """Restore :meth:`state_dict`."""
         self.networks.load_state_dict(state["networks"])
         self.deployed.load_state_dict(deployed_weights(state))
         self._averaged.n_averaged.fill_(state.get("averaged", 0))
@@ -265,7 +262,7 @@ class Learner:
             check_moments(optimizer, state["optimizers"][name], name)
             optimizer.load_state_dict(state["optimizers"][name])
             for group in optimizer.param_groups:
-                group["capturable"] = self.config.captures_graphs  # as this run needs it, not the one before
+                group["capturable"] = self.config.captures_graphs  # as this run needs it, not the saved one
         self._steps = self._make_steps()  # graphs that were captured change tensors that are no longer read
         self.schedule.load_state_dict(state["schedule"])
         if hasattr(self.loss, "roa_coeff"):
@@ -275,15 +272,15 @@ class Learner:
         self.guard.skipped = state.get("skipped_steps", 0)
 
     def _loss_buffers(self) -> Iterator[tuple[str, Tensor]]:
-        """What a loss of the user's own keeps beside the networks; the recipe's follows from the configuration."""
+        """Yield the buffers of a custom loss beside the networks'; the recipe's follow from the configuration."""
         theirs = {id(buffer) for buffer in self.networks.buffers()}
         if self._has_own_loss:
             yield from ((name, buffer) for name, buffer in self.loss.named_buffers() if id(buffer) not in theirs)
 
     def begin_from(self, state: dict[str, Any]) -> None:
-        """Goes on with the moments of another run's optimisers and at its policy's rate, if lower; all else is new.
+        """Take the moments of another run's optimisers and its policy's rate, if lower; all else is new.
 
-        Without moments the first steps move every weight by a whole rate, which throws a rider that explores little.
+        Without moments the first steps move every weight by a whole rate: a robot that explores little falls.
 
         Args:
             state: a :meth:`state_dict` whose networks have been loaded.
@@ -297,5 +294,5 @@ class Learner:
 
 
 def _kl_divergence(terms: TensorDictBase) -> Tensor:
-    """E[r - 1 - log r] for the importance ratio r: never negative, and far less noisy than E[-log r]."""
+    """Return E[r - 1 - log r] for the importance ratio r: never negative, and far less noisy than E[-log r]."""
     return (terms["mean_ratio"] - 1 + terms["kl_approx"]).detach()

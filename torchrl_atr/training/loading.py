@@ -1,4 +1,4 @@
-"""From a run folder back to its configuration, env and networks."""
+"""Loading of a run folder: its configuration, env and networks."""
 
 from __future__ import annotations
 
@@ -35,15 +35,14 @@ def load_run(
         run: the folder.
         checkpoint: a file in it, such as ``best.pt``; None for the last one.
         imports: modules to import besides those that the run remembers; with some, the latter may be missing.
-        make_env: of a run that was trained with an env of the user's own: what makes it, or one like it. It is called
+        make_env: factory of the env, or of one like it, for a run that was trained with a custom env. It is called
             with ``num_envs``, ``seed`` and ``num_threads`` of the run, and with ``env_overrides``.
-        make_networks: of a run that was trained with networks of the user's own.
-        **env_overrides: see :func:`~torchrl_atr.training.make_env`; a ``robot`` or ``transporter`` is taken in the
-            place of the run's own.
+        make_networks: factory of the networks, for a run that was trained with custom networks.
+        **env_overrides: see :func:`~torchrl_atr.training.make_env`; a ``robot`` or ``transporter`` replaces the run's.
 
     Raises:
         CheckpointError: if there is no readable checkpoint, it does not fit this code, robot or transporter are not
-            those that the run was trained with, or it was trained with parts of the user's own that are not given.
+            those that the run was trained with, or it was trained with custom parts that are not given.
         InputError: if ``command_range.json`` holds no range.
     """
     run = Path(run)
@@ -75,7 +74,7 @@ def _recipes_envs(
     """Return the env that is asked for, and one of the robot that the networks were trained with."""
     env = own = make_env(config, **{**LOADED, **overrides})
     replaced = [part for part in PARTS if part in overrides]
-    if replaced:  # networks keep the symmetry of what they were trained on, wherever they ride
+    if replaced:  # networks keep the symmetry of the model that they were trained with
         own = make_env(config, num_envs=1, **LOADED)
     check_model(state, own.base_env.scene, run, replaced)
     return env, own

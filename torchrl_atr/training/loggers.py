@@ -1,4 +1,4 @@
-"""The loggers of TorchRL by the name of the setting ``logger``."""
+"""Loggers of TorchRL by the name of the setting ``logger``."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def make_logger(name: str, run: Path, title: str, resume_from: int | None = None
             run takes again.
         run: the run folder.
         title: of the experiment.
-        resume_from: frames of the checkpoint that the run goes on from; TensorBoard drops what it has of later ones,
-            W&B and MLflow begin another run of the same name.
+        resume_from: frames of the checkpoint that the run continues from; TensorBoard drops later entries, W&B and
+            MLflow begin another run of the same name.
     """
     if name == "csv":
         return None

@@ -1,4 +1,4 @@
-"""What a batch says about the ride: tracking errors, episode lengths, reward terms."""
+"""Metrics of a batch: tracking errors, episode lengths, reward terms."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from torch import Tensor
 from torchrl_atr.envs.physics import CONTROL_DT
 
 _ERRORS = ("speed_error", "yaw_error")
-"""Of the two speeds that a command asks for."""
+"""Metrics of the two components of a command."""
 
 
 def batch_metrics(batch: TensorDictBase) -> dict[str, float]:
-    """Means over a batch of any env, with more the more its entries say.
+    """Return means over a batch of any env, of those metrics whose entries it holds.
 
     Args:
         batch: (N, T) with ``next`` holding ``reward`` and the done flags, and where the env emits them ``speeds`` (and
@@ -37,7 +37,7 @@ def batch_metrics(batch: TensorDictBase) -> dict[str, float]:
 
 
 def riding_metrics(batch: TensorDictBase) -> dict[str, float]:
-    """What a batch of the riding env says about how commands are kept.
+    """Return the errors and falls under commands in a batch of the riding env.
 
     Args:
         batch: (N, T) with ``command``, and ``next`` holding ``speeds`` and ``terminated``.
@@ -46,7 +46,7 @@ def riding_metrics(batch: TensorDictBase) -> dict[str, float]:
         ``speed_error`` (m/s) and ``yaw_error`` (rad/s), mean absolute differences of speeds and commands;
         ``falls_per_minute``, terminations in a minute of a robot's riding, overspeed included; the same for the robots
         that act on estimates (``student_...``) where some do; ``yaw_gain``, the share of the commanded yaw rate that is
-        reached (moving starts give an untrained rider some).
+        reached (moving starts give an untrained policy some).
     """
     after, metrics = batch["next"], {}
     student = batch.get(("act", "student"), None)
@@ -63,5 +63,5 @@ def riding_metrics(batch: TensorDictBase) -> dict[str, float]:
 
 
 def _regression_gain(command: Tensor, yaw_rate: Tensor) -> float:
-    """Σ c_ω ω / Σ c_ω²: 1 for perfect steering."""
+    """Return Σ c_ω ω / Σ c_ω²: 1 for perfect steering."""
     return float((command * yaw_rate).sum() / command.square().sum().clamp_min(1e-6))

@@ -1,4 +1,4 @@
-"""The parts of a run that a user can bring: env, networks, loss, callbacks. Without, they are the recipe's own."""
+"""Parts of a run that a user can replace: env, networks, loss, callbacks; by default they are the recipe's."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.run_files import DUMPS
 
 FACTORIES = ("make_env", "make_networks", "make_loss")
-"""Arguments of a run that make a part of it."""
+"""Arguments of a run that are factories of its parts."""
 NETWORKS_INTERFACE = (
     "rollout_policy",
     "training_actor",
@@ -38,13 +38,13 @@ NETWORKS_INTERFACE = (
     "estimator_parameters",
     "update_normalizers",
 )
-"""What a run needs of its networks, as :class:`~torchrl_atr.modules.RidingNetworks` has it; see docs/own_parts.md."""
+"""Attributes of a run's networks, as of :class:`~torchrl_atr.modules.RidingNetworks`; see docs/own_parts.md."""
 LOSS_INTERFACE = ("policy_loss", "adaptation_loss", "policy_in_keys", "adaptation_in_keys")
-"""What a run needs of its loss, as :class:`~torchrl_atr.objectives.ROAClipPPOLoss` has it; see docs/own_parts.md."""
+"""Attributes of a run's loss, as of :class:`~torchrl_atr.objectives.ROAClipPPOLoss`; see docs/own_parts.md."""
 
 
 class EnvFactory(Protocol):
-    """Makes an env on the CPU, of batch size (num_envs,), in this process or in a worker's."""
+    """Factory of envs on the CPU, of batch size (num_envs,), in this process or in a worker's."""
 
     def __call__(self, *, num_envs: int, seed: int, num_threads: int | None) -> EnvBase:
         """Make the env.
@@ -65,10 +65,10 @@ LossFactory = Callable[[Any], Any]
 
 @dataclass(frozen=True)
 class Parts:
-    """What a run is made of besides its configuration; what is None is the recipe's, from the configuration.
+    """Parts of a run besides its configuration; None stands for the recipe's, made from the configuration.
 
-    It stands for the Hydra configurations of ``torchrl.trainers.algorithms.configs``, which make parts by name, but do
-    not look whether what they made can be trained.
+    It replaces the Hydra configurations of ``torchrl.trainers.algorithms.configs``, which make parts by name, but do
+    not check that the result can be trained.
 
     Attributes:
         make_env: see :class:`EnvFactory`.
@@ -84,7 +84,7 @@ class Parts:
 
     @property
     def names(self) -> dict[str, str]:
-        """By argument, the full name of each factory of the user's own: what checkpoints remember of it."""
+        """Full name of each custom factory by its argument, as checkpoints store it."""
         return {name: _full_name(factory) for name, factory in self._factories.items()}
 
     @property
@@ -102,7 +102,7 @@ class Parts:
         for name, factory in self._factories.items():
             if not callable(factory):
                 raise ConfigError(f"{name}={factory!r} cannot be called; give a function, or a class")
-            if isinstance(factory, nn.Module):  # which can be called, and envs are modules
+            if isinstance(factory, nn.Module):  # modules can be called, and envs are modules
                 raise ConfigError(f"{name}={type(factory).__name__}(...) is what is to be made; give what makes it")
         if self.make_networks is None:
             get_estimator(config.estimator.name)
@@ -115,7 +115,7 @@ class Parts:
             )
 
     def check_complete(self, state: Mapping[str, Any], run: Path, needed: Collection[str]) -> None:
-        """Check that factories of the user's own that a run was trained with have been given again.
+        """Check that the custom factories that a run was trained with have been given again.
 
         Args:
             state: of a checkpoint.
@@ -131,12 +131,12 @@ class Parts:
             theirs = " and ".join(f"{name}={trained[name]}" for name in missing)
             given = ", ".join(f"{name}=..." for name in missing)
             raise CheckpointError(
-                f"{run} was trained with {theirs}, of the user's own, which the command line cannot give; in Python, "
-                f"pass {given} to Trainer to go on with it, or to load_run to use it (docs/own_parts.md)"
+                f"{run} was trained with {theirs}, custom code that the command line cannot give; in Python, pass "
+                f"{given} to Trainer to continue it, or to load_run to use it (docs/own_parts.md)"
             )
 
     def env_maker(self, config: TrainConfig, run: Path) -> Callable[..., EnvBase]:
-        """Return what makes envs of a run, in any process: called with nothing, or with other arguments to replace.
+        """Return the factory of a run's envs for any process; it takes no arguments, or some to replace the run's.
 
         Args:
             config: of the run.
@@ -155,8 +155,8 @@ class Parts:
         """Return the networks of a run, on the CPU.
 
         Raises:
-            ConfigError: if the recipe's own do not fit an env or a task of the user's, or the user's lack something.
-            EstimatorError: if the estimator of the recipe's own cannot be trained.
+            ConfigError: if the recipe's networks do not fit a custom env or task, or custom ones lack an attribute.
+            EstimatorError: if the estimator of the recipe's networks cannot be trained.
         """
         if self.make_networks is not None:
             networks = self.make_networks(env)
@@ -177,10 +177,10 @@ class Parts:
             ) from error
 
     def loss(self, config: TrainConfig, networks: Any) -> Any:
-        """Return the loss of the user's own; None for the recipe's, which the learner makes.
+        """Return the custom loss; None for the recipe's, which the learner makes.
 
         Raises:
-            ConfigError: if it lacks something, or has parameters that no optimiser would train.
+            ConfigError: if it lacks an attribute, or has parameters that no optimiser would train.
         """
         if self.make_loss is None:
             return None
@@ -201,7 +201,7 @@ class Parts:
 
 
 def _own_env(factory: EnvFactory, *, num_envs: int, **arguments: Any) -> EnvBase:
-    """Make an env of the user's own and check what everything else relies on."""
+    """Make a custom env and check its type, batch size and device."""
     env = factory(num_envs=num_envs, **arguments)
     name = f"make_env={_full_name(factory)}"
     if not isinstance(env, EnvBase):

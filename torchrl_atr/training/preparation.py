@@ -1,4 +1,4 @@
-"""What is checked and made of a run before anything in its folder is written, and what a new one starts from."""
+"""Preparation of a run: checks and construction before its folder is written to, and initial normalisers."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from torchrl_atr.training.restoring import check_model, deployed_weights, load_n
 def check_given(
     config: TrainConfig, run: Path, parts: Parts, state: Mapping[str, Any] | None, start: Path | None, logger: Any
 ) -> dict[str, Any] | None:
-    """Check what a trainer is given before anything is made of it.
+    """Check the arguments of a trainer before they are used.
 
     Args:
         config: of the run.
         run: its folder.
-        parts: of the user's own.
-        state: the checkpoint that it goes on from, if any.
+        parts: custom parts.
+        state: the checkpoint that it continues from, if any.
         start: folder of the run that it begins from, if any.
-        logger: the user's own, if any.
+        logger: a custom logger, if any.
 
     Returns:
         The checkpoint in ``start``, and that folder as ``run``.
@@ -74,7 +74,7 @@ def trained_networks(
         run: its folder, for messages.
         env: of the run.
         parts: of the run.
-        state: the checkpoint that it goes on from, if any.
+        state: the checkpoint that it continues from, if any.
         other: of the run that it begins from, if any, from :func:`check_given`.
         replaced: parts of the robot's model that may be another than in ``other`` though they are called the same.
 
@@ -97,16 +97,16 @@ def trained_networks(
 
 
 def model_of(env: EnvBase) -> Description | None:
-    """Return what is remembered of the env's robot on its transporter; None for an env without."""
+    """Return the description of the env's robot and transporter for checkpoints; None for an env without them."""
     scene = attribute(env, "scene")
     return None if scene is None else describe(scene)
 
 
 @torch.no_grad()
 def init_normalizers(networks: Any, env: EnvBase, steps: int, device: str) -> None:
-    """Give normalisers means and scales of random actions to start from.
+    """Initialise normalisers with means and scales under random actions.
 
-    It stands for ``ObservationNorm.init_stats`` of TorchRL's transforms, whose numbers stay with the env; these are
+    It replaces ``ObservationNorm.init_stats`` of TorchRL's transforms, whose numbers stay with the env; these are
     deployed with the networks. A step at a time: a rollout would hold every history.
 
     Args:

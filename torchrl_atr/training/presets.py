@@ -1,4 +1,4 @@
-"""Named configurations, the settings of tasks that differ from riding's, and what is added to the paper's method."""
+"""Presets, the settings of tasks that differ from riding's, and the additions to the paper's method."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torchrl_atr._settings import Setting, settings
 from torchrl_atr.training.config import TrainConfig
 
 PRESETS: Registry[Mapping[str, Any]] = Registry("preset")
-"""By name, the settings that differ from the defaults; register your own.
+"""Settings that differ from the defaults, by preset; register your own.
 
 ``default`` learns best on a laptop. ``paper`` is the paper's own method: nothing of :func:`additions`, the physics that
 makes its text true, and Extreme Parkour's hyper-parameters where it gives none. ``literal`` takes every formula as
@@ -50,14 +50,14 @@ TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
         "estimator.dead_reckoning": False,
     },
 }
-"""Settings of tasks that differ from riding's; a task of your own may add its own."""
+"""Settings of tasks that differ from riding's; a custom task may add its own."""
 
 
 class Addition(NamedTuple):
-    """What this package adds to the paper's method.
+    """Addition of this package to the paper's method.
 
     Attributes:
-        what: in a few words.
+        what: the addition in a few words.
         switch: the setting that turns it on and off.
         off: its value in the preset ``paper``.
         on: its value by default.

@@ -1,4 +1,4 @@
-"""What a run shows while it learns: lines of the main metrics, ``progress.csv``, and a logger of TorchRL."""
+"""Progress of a run: lines of the main metrics, ``progress.csv``, and a logger of TorchRL."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class _Column(NamedTuple):
-    """Of a line: the metric, its format, the two lines of its head, and its width."""
+    """Column of a line: the metric, its format, the two lines of its head, and its width."""
 
     name: str
     style: str
@@ -54,7 +54,7 @@ _COLUMNS = (
     _Column("skipped_steps", "{:.0f}", "skip", "steps", 6),
 )
 _LEFT = 10
-"""Width of the time that is left; with it, a line has 119 characters."""
+"""Width of the column of the time left; with it, a line has 119 characters."""
 _PAGE = 20
 """Lines between two heads."""
 _HEAD = "\n".join(
@@ -65,13 +65,13 @@ _HEAD = "\n".join(
     )
 )
 _MOVING = {"falls_per_minute": 50}
-"""Iterations over whose mean a metric is shown that is rare in each; logs hold every iteration's own."""
+"""Iterations over which a metric of rare events is averaged for display; logs hold every iteration's value."""
 _LINE_SECONDS = 15.0
 """Seconds between lines."""
 
 
 class Progress:
-    """Logs metrics of every iteration; a context manager around the training loop.
+    """Log of the metrics of every iteration; a context manager around the training loop.
 
     ``progress.csv``, one row per iteration, is written whatever the logger: TorchRL's ``CSVLogger`` has a file without
     header for each metric, to which a resumed run would append the iterations since its checkpoint once more.
@@ -79,8 +79,8 @@ class Progress:
     Args:
         run: the run folder.
         config: for the logger, and for time and frames left.
-        resume_from: frames of the checkpoint that the run goes on from; later rows of its log are dropped. None for a
-            new run.
+        resume_from: frames of the checkpoint that the run continues from; later rows of its log are dropped. None for
+            a new run.
         logger: of TorchRL, which gets every iteration's metrics by robot steps and stays open; None for the one that
             ``config.logging.logger`` names.
         title: of the run, for the logger.
@@ -148,7 +148,7 @@ class Progress:
         return logger
 
     def _keep_rows(self, frames: int) -> list[str]:
-        """Drop the rows of iterations that the checkpoint has not seen; return the columns."""
+        """Drop the rows of iterations after the checkpoint; return the columns."""
         with self._csv_path.open(newline="", encoding="utf-8") as file:
             reader = csv.DictReader(file)
             columns = list(reader.fieldnames or [])

@@ -1,4 +1,4 @@
-"""Where a run's numbers come from: the command, the machine, the versions, the frames and minutes it took."""
+"""Provenance of a run's figures: the command, the machine, the versions, the frames and minutes it took."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def provenance(
     start: Mapping[str, Any] | None = None,
     parts: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """What ``run.json`` holds.
+    """Return the content of ``run.json``.
 
     Args:
         config: of the run.
@@ -40,7 +40,7 @@ def provenance(
         seconds: of training so far, wall clock.
         start: of a run that began from another one: that one's ``run`` (its folder), ``config`` and ``provenance``,
             the last of which is what ``from`` holds.
-        parts: full names of the factories of the user's own, which the command cannot name.
+        parts: full names of the custom factories, which the command cannot name.
     """
     origin = {} if start is None else {"from": {"run": start["run"], **start["provenance"]}}
     return {
@@ -56,7 +56,7 @@ def provenance(
 
 
 def machine(device: str = "cpu") -> dict[str, Any]:
-    """``hardware`` and ``versions`` that a measurement was made with.
+    """Return ``hardware`` and ``versions`` that a measurement was made with.
 
     Example:
         >>> machine()["hardware"]["device"]
@@ -72,7 +72,7 @@ def machine(device: str = "cpu") -> dict[str, Any]:
 
 
 def cores(hardware: dict[str, Any]) -> str:
-    """How a measurement's machine is written beside its figures.
+    """Return a measurement's machine as it is written beside its figures.
 
     Example:
         >>> cores({"cpus": 2, "processor": "Z80", "device": "cpu"})
@@ -85,7 +85,7 @@ def cores(hardware: dict[str, Any]) -> str:
 
 
 def command_line(config: Mapping[str, Any], start: Mapping[str, Any] | None = None) -> str:
-    """The command that starts such a run: what differs from the defaults, or from the run that it began from.
+    """Return the command that starts such a run, with settings other than the defaults or the run it began from.
 
     Args:
         config: settings of the run, all of them, as plain JSON values.

@@ -1,4 +1,4 @@
-"""What a checkpoint must hold, and fit, before a run is built on it."""
+"""Checks of a checkpoint before a run is built on it, and loading of its settings and networks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PARTS = (
 
 
 def check_parts(state: Mapping[str, Any], run: Path) -> None:
-    """Check that a checkpoint holds what everything that reads a run relies on.
+    """Check that a checkpoint holds the parts that every reader of a run needs.
 
     Args:
         state: from :func:`~torchrl_atr.training.load_checkpoint`.
@@ -70,7 +70,7 @@ def read_other(start: Path, run: Path) -> dict[str, Any]:
 
 
 def other_parts(config: TrainConfig, other: Mapping[str, Any]) -> set[str]:
-    """Return robot or transporter, if the settings name another one than those of the run that a new one begins from.
+    """Return which of robot and transporter differ from those of the run that a new one begins from.
 
     Args:
         config: of the new one.
@@ -134,8 +134,7 @@ def check_model(state: Mapping[str, Any], scene: Scene | None, run: Path, replac
     """Check that robot and transporter are those that a run was trained with.
 
     Args:
-        state: from :func:`~torchrl_atr.training.load_checkpoint`; one without a model, as of an env of the user's own,
-            passes.
+        state: from :func:`~torchrl_atr.training.load_checkpoint`; one without a model, as of a custom env, passes.
         scene: what the run's settings mean here; None for an env that has none.
         run: where it is from, for messages.
         replaced: ``"robot"`` or ``"transporter"`` if that is another one on purpose.
@@ -160,12 +159,12 @@ def check_model(state: Mapping[str, Any], scene: Scene | None, run: Path, replac
 
 
 def deployed_weights(learner: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the running mean of the weights in a learner's state; the last ones where there was none yet."""
+    """Return the moving average of the weights in a learner's state; the last weights if there is none yet."""
     return learner.get("deployed", learner["networks"])
 
 
 def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) -> None:
-    """Load trained networks, or say in a line why they do not fit.
+    """Load trained weights into networks, or raise an error of one line if they do not fit.
 
     Args:
         networks: made by the settings of that run, or of one that begins from it.
@@ -193,7 +192,7 @@ def check_moments(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any], na
     """Check the moments in an optimiser's saved state, which a fused step would read and write whatever their shapes.
 
     Args:
-        optimizer: that is to go on with them.
+        optimizer: that is to continue with them.
         saved: the ``state_dict`` of another.
         name: of both, for messages.
 

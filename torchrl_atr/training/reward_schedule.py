@@ -1,4 +1,4 @@
-"""How much each reward term counts in what is learned from, over the run; the env's own rewards stay as they are."""
+"""Schedules of the weights of reward terms for the learner over a run; the env's own rewards stay as they are."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from tensordict import TensorDictBase
 from torchrl_atr._settings import ConfigError
 
 RewardSchedule = Mapping[str, Callable[[float], float]]
-"""By reward term's name the factor that it counts with, a function of the progress of the run in [0, 1]."""
+"""Factor of each reward term by name, a function of the progress of the run in [0, 1]."""
 
 
 def factors_at(schedule: RewardSchedule, progress: float) -> dict[str, float]:
-    """Return the factors at one time.
+    """Return the factors at a progress of the run.
 
     Args:
         schedule: by term.

@@ -1,4 +1,4 @@
-"""Copies of the files that a run's settings name, so that its folder can be moved and outlives them."""
+"""Copies of the files that a run's settings name, so that its folder can be moved and does not need the originals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MODEL = "model"
 CONFIG = "config.toml"
 """File of a run that holds its settings, to be edited and started from."""
 DUMPS = "diverged"
-"""Folder of a run that simulations which failed are written to."""
+"""Folder of a run for the dumps of simulations that failed."""
 
 
 def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
@@ -46,7 +46,7 @@ def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
     copies: dict[str, Any] = {}
     with naming(folder):
         try:
-            for name, path in given.items():  # before the old folder goes: they may lie in it
+            for name, path in given.items():  # before the old folder is removed: they may be in it
                 copies[name] = str(folder / COPIES[name](path, staged / name).relative_to(staged))
             if folder.exists():
                 shutil.rmtree(folder)

@@ -1,4 +1,4 @@
-"""The settings of a run by group: every field says its range, its unit, what the paper has, and why it is as it is."""
+"""Settings of a run by group: every field declares its range, its unit, the paper's value, and its reason."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import Source
 
 MAX_SPEED, MAX_YAW_RATE = CommandGrid().bounds
-"""The paper's largest command: m/s and rad/s."""
+"""Largest command of the paper: m/s and rad/s."""
 _TINY = 1e-12
 
 
 @dataclass(frozen=True)
 class EnvConfig(Settings):
-    """How many robots are simulated, and what an episode is."""
+    """Number of simulated robots, and their episodes."""
 
     group = "env"
 
@@ -31,20 +31,20 @@ class EnvConfig(Settings):
     """H, control steps of history that the estimators read. 0.2 s, as in the paper."""
     staggered_starts: bool = setting(True, off=False, addition="episodes out of step")
     """Let first episodes end at different times. Otherwise every batch holds the same twentieth of all episodes, and
-    figures swing."""
+    metrics oscillate."""
     overspeed_margin: tuple[float, ...] = setting(
         (2.0, 2.0), within=(_TINY, 1e6), off=(), addition="termination of boards that run away"
     )
-    """How much faster than any command (m/s, rad/s) a transporter may get before its episode ends; empty for no such
-    limit. A board that ran away is where tracking rewards have no slope."""
+    """Excess over any command (m/s, rad/s) at which the episode of a transporter ends; empty for no such limit. A board
+    that ran away is where tracking rewards have no slope."""
     failed_episode_replay: float = setting(0.5, within=(0, 1), off=0.0, addition="failed-episode replay")
-    """Share of the falls after which the same robot tries again. Robots that are hard to keep up have short episodes
-    and are hardly seen."""
+    """Share of the falls after which the same robot tries again. Robots that fall easily have short episodes and give
+    few samples."""
 
 
 @dataclass(frozen=True)
 class TaskConfig(Settings):
-    """What is learned, by whom, and how the paper's open questions about it are answered.
+    """Task, robot and transporter, and answers to the paper's open questions about them.
 
     A field of the name of an argument of the task's function is passed to it.
     """
@@ -52,7 +52,7 @@ class TaskConfig(Settings):
     group = "task"
 
     name: str = setting("riding", alias="task")
-    """A registered task: riding, walking, or one of your own."""
+    """A registered task: riding, walking, or a custom one."""
     robot: str = setting("a1", alias="robot")
     """A registered robot, or a .toml file that describes one."""
     transporter: str = setting("single_board", alias="transporter")
@@ -67,17 +67,17 @@ class TaskConfig(Settings):
     kd: float = setting(0.0, within=(0, 1e5), unit="N m s/rad")
     """Nominal damping of the joints' PD controllers; 0 for the robot's own."""
     moving_start: float = setting(0.5, within=(0, 1), off=0.0, addition="moving starts")
-    """Share of the episodes whose transporter starts at part of the commanded speeds. The yaw that a lean earns comes
-    seconds later: who starts in a turn feels at once that leaning keeps it."""
+    """Share of the episodes whose transporter starts at part of the commanded speeds. A lean changes the yaw rate only
+    seconds later: a robot that starts in a turn is rewarded at once for the lean that keeps it."""
     displaced_start: float = setting(0.3, within=(0, 1), off=0.0, addition="displaced starts")
     """Share of the episodes whose robot starts shifted and turned on the boards, as after a minute of pushes."""
     steering_weight_peak: float = setting(
         3.0, within=(0, 100), off=1.0, addition="schedule of the steering reward's weight"
     )
     """Factor of r1 in what is learned from, at its peak: it rises from 1 until exploration.anneal_until of the run; 1
-    leaves it alone. A turn is paid late and through more noise than a speed."""
+    leaves it alone. Turns are rewarded later and with more noise than speeds."""
     steering_weight_end: float = setting(2.0, within=(0, 100), off=1.0)
-    """What that factor sinks to from there until the run ends. Fewer fall at the end."""
+    """Value that this factor falls to from there until the run ends. Fewer robots fall at the end."""
     rewards: dict[str, float] = setting({}, within=(-1e6, 1e6))
     """Weights of reward terms, by name, in place of the task's own: `list rewards`."""
     randomization: dict[str, Ranges] = setting({}, within=(-1e6, 1e6))
@@ -88,12 +88,12 @@ class TaskConfig(Settings):
 
 @dataclass(frozen=True)
 class CurriculumConfig(Settings):
-    """Which commands are asked for, how long each lasts, and when harder ones come."""
+    """Range and duration of the commands, and the rule by which the range grows."""
 
     group = "curriculum"
 
     command_seconds: float = setting(5.0, within=(0.1, 1e6), unit="s")
-    """How long a command lasts. As in the paper."""
+    """Duration of a command. As in the paper."""
     tracking_threshold: float = setting(0.6, within=(0.01, 1), paper=0.8)
     """Share γ_v = γ_ω of perfect tracking that lets the command grid grow. 0.8 was too slow for runs of an hour."""
     score_from_seconds: float = setting(
@@ -117,7 +117,7 @@ class CurriculumConfig(Settings):
 
 @dataclass(frozen=True)
 class ExplorationConfig(Settings):
-    """How a Gaussian policy explores."""
+    """Exploration of the Gaussian policy."""
 
     group = "exploration"
 
@@ -139,12 +139,12 @@ class ExplorationConfig(Settings):
     """Lower a ceiling of the exploration, and ppo.target_kl to final_kl, late in the run. Noise hides which way the
     board is tilted."""
     anneal_from: float = setting(0.4, within=(0, 0.99))
-    """Share of the run after which the ceiling sinks geometrically from init_std. A policy that rides turns better with
-    less noise."""
+    """Share of the run after which the ceiling falls geometrically from init_std. A policy that can ride turns better
+    with less noise."""
     anneal_until: float = setting(0.85, within=(0.01, 1))
     """Share of the run from which on that ceiling is final_std."""
     final_std: float = setting(0.06, within=(1e-3, 10))
-    """Ceiling of the standard deviations at the end. The sign of a board's pitch is lost in more."""
+    """Ceiling of the standard deviations at the end. More noise hides the sign of a board's pitch."""
 
 
 @dataclass(frozen=True)
@@ -159,9 +159,9 @@ class PPOConfig(Settings):
     rollout_steps: int = setting(12, within=(2, 1e5), paper=24)
     """Control steps per robot and iteration."""
     gamma: float = setting(0.995, within=(0, 0.99999), paper=0.99)
-    """Discount. A turn is earned seconds after the lean."""
+    """Discount. The reward of a turn comes seconds after the lean."""
     gae_lambda: float = setting(0.8, within=(0, 1), paper=0.95)
-    """GAE's λ. The lean that turns stands out of less noise than with 0.9 or 0.95."""
+    """GAE's λ. Advantages of the lean that turns have less noise than with 0.9 or 0.95."""
     epochs: int = setting(2, within=(1, 1000), paper=5)
     """Passes over a batch."""
     minibatches: int = setting(4, within=(1, 1e5))
@@ -170,14 +170,14 @@ class PPOConfig(Settings):
     """Learning rate of the policy at first; then adapted to the measured KL divergence. A run that begins with
     another's networks begins at that one's last rate if it is lower."""
     max_learning_rate: float = setting(2e-3, within=(_TINY, 1), paper=1e-2)
-    """Up to which the policy's learning rate is adapted."""
+    """Upper bound of the policy's learning rate."""
     target_kl: float = setting(0.03, within=(_TINY, 10), paper=0.01)
     """Divergence of an update that the rate is adapted to."""
     final_kl: float = setting(0.01, within=(_TINY, 10))
-    """What target_kl sinks to with exploration.anneal. The policy settles."""
+    """Value that target_kl falls to with exploration.anneal. The policy settles."""
     kl_stop: float = setting(5.0, within=(0, 1e6), off=0.0, addition="policy steps that stop at too large a divergence")
-    """Multiples of target_kl at which the rest of an iteration's policy steps is left out; 0 for never. A batch from
-    which the policy is that far has nothing more to say."""
+    """Multiples of target_kl at which the rest of an iteration's policy steps is skipped; 0 for never. A batch of a
+    policy that different is no longer informative."""
     critic_learning_rate: float = setting(1e-3, within=(_TINY, 1))
     """Learning rate of the critic, fixed."""
     clip_epsilon: float = setting(0.2, within=(_TINY, 1))
@@ -212,7 +212,7 @@ class PPOConfig(Settings):
 
 @dataclass(frozen=True)
 class ROAConfig(Settings):
-    """Regularised online adaptation: the encoder, and what the actor acts on in training."""
+    """Regularised online adaptation: the encoder, and the inputs of the actor in training."""
 
     group = "roa"
 
@@ -222,8 +222,8 @@ class ROAConfig(Settings):
     """Grow λ linearly from 0 over the run. Open whether λ = 0.2 is constant or the end of a ramp. Constant; Extreme
     Parkour ramps it up."""
     act_source: Source = setting("mixed", question="A24", off="privileged", addition="acting on estimates in training")
-    """What the actor acts on in training; mixed: half of the robots act on their estimates. The paper's figure shows
-    the privileged policy in training; acting on estimates, estimators see what their errors lead to."""
+    """Inputs of the actor in training; mixed: half of the robots act on their estimates. The paper's figure shows the
+    privileged policy in training; acting on estimates, estimators also learn on states that their errors lead to."""
     latent_features: int = setting(16, within=(1, 1e5))
     """Size of z. Table I."""
     encoder_cells: tuple[int, ...] = setting((128, 64), within=(1, 1e5))
@@ -232,7 +232,7 @@ class ROAConfig(Settings):
 
 @dataclass(frozen=True)
 class EstimatorConfig(Settings):
-    """The estimators of intrinsic and extrinsic state."""
+    """Estimators of intrinsic and extrinsic state."""
 
     group = "estimator"
 
@@ -256,7 +256,7 @@ class EstimatorConfig(Settings):
 
 @dataclass(frozen=True)
 class ComputeConfig(Settings):
-    """On what, and by how many processes, a run is computed."""
+    """Device, threads and processes of a run."""
 
     group = "compute"
 
@@ -268,22 +268,22 @@ class ComputeConfig(Settings):
     """Threads of torch; 0 for the CPUs that this process may use, and fewer while others use them."""
     compiled: bool = setting(False)
     """Use torch.compile for what the task computes at every step and, where the learner is on the CPU, of policy and
-    losses; on a GPU, CUDA graphs of policy and optimiser steps. A resumed run is then the uninterrupted one to
-    rounding. It needs a C++ compiler and half a minute."""
+    losses; on a GPU, CUDA graphs of policy and optimiser steps. A resumed run then equals the uninterrupted one
+    up to rounding. It needs a C++ compiler and half a minute."""
     collector: Literal["direct", "process", "ray", "distributed"] = setting("direct", alias="collector")
-    """Where robots are simulated: direct in this process, or in `workers` others by TorchRL's engine."""
+    """Collector of batches: direct in this process, or in `workers` others by TorchRL's engine."""
     workers: int = setting(2, within=(1, 4096), alias="workers")
     """Processes that share the robots and the CPUs, unless direct."""
 
 
 @dataclass(frozen=True)
 class LoggingConfig(Settings):
-    """What a run writes, and when."""
+    """Checkpoints and logs of a run."""
 
     group = "logging"
 
     checkpoint_seconds: float = setting(60.0, within=(0, 1e6), unit="s")
     """Longest time between two checkpoints."""
     logger: Literal["tensorboard", "wandb", "mlflow", "csv"] = setting("tensorboard", alias="logger")
-    """TorchRL's logger beside progress.csv, which is always written; csv for that alone. Of wandb and mlflow their own
-    variables count, such as WANDB_PROJECT and MLFLOW_TRACKING_URI."""
+    """TorchRL's logger beside progress.csv, which is always written; csv for that alone. wandb and mlflow read their
+    variables, such as WANDB_PROJECT and MLFLOW_TRACKING_URI."""

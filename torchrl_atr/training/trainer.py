@@ -1,4 +1,4 @@
-"""The recipe: env -> collector -> learner -> log -> checkpoint, until frames or minutes run out."""
+"""Training loop: env -> collector -> learner -> log -> checkpoint, until frames or minutes run out."""
 
 from __future__ import annotations
 
@@ -41,24 +41,22 @@ _STOPPING = "stopping after this iteration; once more to stop at once"
 
 
 class Trainer:
-    """One run in one folder.
+    """Training run in a folder.
 
-    What is not given is the recipe's own, made from the configuration; docs/own_parts.md says what each must have.
+    Parts that are not given are made from the configuration; docs/own_parts.md lists what each must have.
 
     Args:
         config: the recipe; settings of a part that is given in its place are not read.
         run: folder for config, checkpoint, logs; made if missing.
-        state: a checkpoint to go on from. With ``collector="direct"`` on the CPU, not compiled, with the same threads
-            and no time limit, the run goes on bit for bit as if it had not stopped.
+        state: a checkpoint to continue from. With ``collector="direct"`` on the CPU, not compiled, with the same
+            threads and no time limit, the run continues bit for bit as if it had not stopped.
         start: folder of another run, with whose deployed networks, optimisers' moments and command grid a new one
             begins, at its policy's learning rate if that is lower; all else is new.
         replaced: ``"robot"`` or ``"transporter"`` if another one than that run's may be meant by the same name.
         make_env: ``make_env(num_envs=, seed=, num_threads=)`` makes an env. A run resumes bit for bit if the env below
             all transforms has ``get_state()`` and ``set_state(state)``; else episodes begin anew.
-        make_networks: ``make_networks(env)`` makes the networks, such as
-            :class:`~torchrl_atr.modules.RidingNetworks`.
-        make_loss: ``make_loss(networks)`` makes the loss, such as a subclass of
-            :class:`~torchrl_atr.objectives.ROAClipPPOLoss`.
+        make_networks: ``make_networks(env)`` makes the networks, like :class:`~torchrl_atr.modules.RidingNetworks`.
+        make_loss: ``make_loss(networks)`` makes the loss, like :class:`~torchrl_atr.objectives.ROAClipPPOLoss`.
         logger: of ``torchrl.record.loggers``, which takes TensorBoard's place; it stays open.
         callbacks: called at fixed points of the run.
 
@@ -67,13 +65,13 @@ class Trainer:
 
     Attributes:
         config: the recipe, with the folder's own copies of the files that it names.
-        parts: what is of the user's own.
+        parts: custom parts.
         env, learner, curriculum: of this process; an env without ``curriculum`` has None.
         threads: of torch.
 
     Raises:
         CheckpointError: if the networks of either do not fit the settings, it was trained with another robot or
-            transporter than there is here, or with parts of its own that are not given.
+            transporter than there is here, or with custom parts that are not given.
         ConfigError: if ``start`` is ``run`` itself, or a part cannot be used.
         EstimatorError: if the estimator cannot be trained.
 
@@ -118,7 +116,7 @@ class Trainer:
         self._prepare_folder(fresh=state is None)
         self.curriculum = env_access.curriculum_of(self.env)
         if state is None and other is None:
-            with self.threads:  # compiled steps are for that many
+            with self.threads:  # compiled steps are specialised to their number
                 init_normalizers(networks, self.env, self.config.ppo.rollout_steps, self.config.compute.device)
         self.learner = Learner(networks, self.config, loss, schedule, self.parts.callbacks)
         self.frames, self.iteration, self.seconds = 0, 0, 0.0
@@ -138,19 +136,19 @@ class Trainer:
         return self.parts.env_maker(self.config, self.run)
 
     def _prepare_folder(self, fresh: bool) -> None:
-        """Makes the run folder: what is refused before has written and removed nothing."""
+        """Make the run folder, after all checks: a run that is refused writes and removes nothing."""
         self.run.mkdir(parents=True, exist_ok=True)
         sweep(self.run)
         given, self.config = self.config, keep_files(self.config, self.run, fresh)
         if fresh:
             clear(self.run)
-        if self.config != given and self.parts.make_env is None:  # what the folder holds is what is trained
+        if self.config != given and self.parts.make_env is None:  # train the folder's copy
             self.env.close()
             self.env = self._env_maker()
             check_model({"model": self._model}, env_access.attribute(self.env, "scene"), self.run)
 
     def train(self, on_iteration: Callable[[dict[str, float]], bool | None] | None = None) -> int | None:
-        """Trains until ``total_frames`` or ``max_minutes``, saving a checkpoint first, now and then, and last.
+        """Train until ``total_frames`` or ``max_minutes``, with a checkpoint at the start, at intervals and at the end.
 
         SIGINT and SIGTERM end it after the iteration at hand, with a checkpoint.
 
@@ -172,7 +170,7 @@ class Trainer:
                     self._loop(interrupt, on_iteration)
                 self.save()
             except CollectionError:
-                self.save()  # what was learned is whole: it was the next batch that did not come
+                self.save()  # the learner is intact: only the next batch is missing
                 if interrupt.signal is None:  # a whole process group may be asked to stop, workers included
                     raise
             finally:
@@ -182,12 +180,12 @@ class Trainer:
 
     @cached_property
     def collection(self) -> Collection:
-        """Where batches come from; workers start when it is first asked for, and end with :meth:`train`."""
+        """Source of batches; workers start when it is first used, and end with :meth:`train`."""
         policy = make_policy(self.config, self.learner.networks)
         collection = Collection(self.config, self.env, self._env_maker, policy, self.iteration)
         if self._carried:
             collection.load_state_dict(self._carried["collection"])
-            load_rng_state(self._carried["rng"])  # last: building all this drew from it
+            load_rng_state(self._carried["rng"])  # last: construction draws random numbers
         return collection
 
     def _close(self) -> None:
@@ -219,15 +217,11 @@ class Trainer:
 
     @property
     def finished(self) -> bool:
-        """Whether frames or minutes have run out."""
+        """True if frames or minutes have run out."""
         return self.progress_made >= 1
 
     def iterate(self) -> dict[str, float]:
-        """Collect a batch and learn from it.
-
-        Returns:
-            Its metrics; frames a second and minutes are with logs and checkpoints.
-        """
+        """Collect a batch, learn from it and return metrics; rate and minutes include logs and checkpoints."""
         self.threads.update()
         self.learner.anneal(self.progress_made)
         started = time.monotonic()
@@ -252,11 +246,11 @@ class Trainer:
         return metrics
 
     def save(self) -> None:
-        """Writes the checkpoint (config, learner, curriculum, collection, counters) and where it comes from."""
+        """Write the checkpoint (config, learner, curriculum, collection, counters) and its provenance."""
         model, parts = None if self._model is None else digest(self._model), self.parts.names
         origin = provenance(self.config, self.run, model, self.frames, self.seconds, self._start, parts)
         write_json(self.run / "run.json", origin)
-        known = self.iteration > 1 / _MEMORY and self.reward != 0.0  # of an env without episode rewards it is not
+        known = self.iteration > 1 / _MEMORY and self.reward != 0.0  # it is 0 for an env without episode rewards
         best = known and self.reward > self.best_reward
         self.best_reward = self.reward if best else self.best_reward
         state = self._state(origin)
@@ -264,7 +258,7 @@ class Trainer:
         save_checkpoint(self.run / NAME, state, best=best)
 
     def _state(self, origin: dict[str, Any]) -> dict[str, Any]:
-        """All that a resumed run depends on."""
+        """Return all that a resumed run depends on."""
         if "collection" in vars(self):
             self._carried = {"collection": self.collection.state_dict(), "rng": rng_state()}
         carried = self._carried or {"collection": {}, "rng": rng_state()}
