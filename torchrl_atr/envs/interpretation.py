@@ -16,7 +16,7 @@ from torchrl_atr._settings import Setting, Settings, setting, settings
 
 @dataclass(frozen=True)
 class Interpretation(Settings):
-    """How the env reads the paper where it is silent or contradicts itself; :func:`open_questions` says why.
+    """Choices made where the paper is silent or contradicts itself; :func:`open_questions` gives the reasons.
 
     Raises:
         ConfigError: for a value out of range.
@@ -96,7 +96,7 @@ class Interpretation(Settings):
 
 
 def open_questions() -> dict[str, Setting]:
-    """Return what each field of :class:`Interpretation` decides, by name."""
+    """Return the question and answers behind each field of :class:`Interpretation`, by name."""
     return settings(Interpretation)
 
 

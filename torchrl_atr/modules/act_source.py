@@ -45,7 +45,7 @@ class ActSource(TensorDictModuleBase):
         ValueError: if ``source`` is unknown.
         KeyError: if an entry that the source reads is missing.
 
-    Examples:
+    Example:
         >>> ActSource("estimated").in_keys
         [('estimate', 'intrinsic'), ('estimate', 'extrinsic')]
     """
@@ -112,7 +112,7 @@ class AssignActSource(TensorDictModuleBase):
     Raises:
         ValueError: if the fraction is outside [0, 1], or there is no batch dimension.
 
-    Examples:
+    Example:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> td = AssignActSource(0.5)(TensorDict(observation=torch.zeros(4, 3), batch_size=[4]))

@@ -22,7 +22,7 @@ class RotatedNormal(IndependentNormal):
         scale (Tensor): standard deviation along each column, (*B, A).
         basis (Tensor, optional): (A, A); None for the actions themselves.
 
-    Examples:
+    Example:
         >>> from torchrl_atr.modules import hadamard_leg_basis
         >>> normal = RotatedNormal(torch.zeros(12), torch.full((12,), 0.1), hadamard_leg_basis())
         >>> normal.rsample().shape, normal.log_prob(torch.zeros(12)).shape
@@ -71,7 +71,7 @@ class CorrelatedGaussian(TensorDictModuleBase):
     Raises:
         ValueError: unless ``0 <= correlation < 1``.
 
-    Examples:
+    Example:
         >>> from tensordict import TensorDict
         >>> explore = CorrelatedGaussian(0.9)
         >>> td = explore(TensorDict(loc=torch.zeros(4, 2), scale=torch.ones(4, 2), batch_size=[4]))
@@ -139,7 +139,7 @@ def correlate(actor: ProbabilisticActor, correlation: float, action: NestedKey =
     Returns:
         TensorDictSequential: the policy for a collector.
 
-    Examples:
+    Example:
         >>> from torchrl_atr.modules import ActorBackbone, Exploration, RunningNormalizer, make_actor
         >>> actor = make_actor(ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2), Exploration(2))
         >>> correlate(actor, 0.9).in_keys

@@ -48,7 +48,7 @@ class ActorBackbone(nn.Module):
             without an inverse, and for a reflection that is none, or that does not map each product, and each row of
             the output map, to plus or minus one of them.
 
-    Examples:
+    Example:
         >>> import torch
         >>> backbone = ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2)
         >>> backbone(torch.zeros(7, 5), torch.zeros(7, 3), torch.zeros(7, 4)).shape
@@ -149,7 +149,7 @@ def make_actor(
         ProbabilisticActor: a Gaussian policy, a :class:`~torchrl_atr.modules.RotatedNormal` along the directions of the
             exploration.
 
-    Examples:
+    Example:
         >>> backbone = ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2)
         >>> make_actor(backbone, Exploration(2)).in_keys
         ['observation', ('act', 'intrinsic'), ('act', 'extrinsic')]

@@ -38,7 +38,7 @@ def check_estimator(
         EstimatorError: (an ``AssertionError``) naming the property that fails and what to do about it; so is
             whatever the factory or its module raises.
 
-    Examples:
+    Example:
         >>> from torchrl_atr.modules import CNNGRUEstimator
         >>> check_estimator(CNNGRUEstimator, history_shape=(5, 7), out_features=3)
     """
@@ -69,7 +69,7 @@ def check_registered(name: str, sizes: Iterable[tuple[tuple[int, int], int]], **
         UnknownNameError: if there is none of that name.
         EstimatorError: naming the estimator and the property that fails.
 
-    Examples:
+    Example:
         >>> check_registered("mlp", [((10, 46), 16), ((10, 49), 16)])
     """
     factory = get_estimator(name)

@@ -12,7 +12,7 @@ import torch
 def default_dtype(dtype: torch.dtype) -> Iterator[None]:
     """Make modules of this floating-point dtype inside the ``with`` block.
 
-    Examples:
+    Example:
         >>> with default_dtype(torch.float64):
         ...     weight = torch.nn.Linear(1, 1).weight
         >>> weight.dtype

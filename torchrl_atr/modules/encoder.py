@@ -22,7 +22,7 @@ class IntrinsicEncoder(nn.Module):
         reflection (Tensor, optional): of the input, (in_features, in_features): the latent of the robot's mirror image
             is then the latent with its halves swapped.
 
-    Examples:
+    Example:
         >>> import torch
         >>> IntrinsicEncoder(34)(torch.zeros(2, 34)).shape
         torch.Size([2, 16])

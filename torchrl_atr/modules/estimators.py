@@ -39,7 +39,7 @@ def register_estimator(name: str, factory: EstimatorFactory | None = None) -> An
         ValueError: if the name is empty or is taken.
         TypeError: if the factory is not callable.
 
-    Examples:
+    Example:
         >>> from torch import nn
         >>> @register_estimator("newest_only")
         ... class NewestOnly(nn.Module):
@@ -68,7 +68,7 @@ def get_estimator(name: str) -> EstimatorFactory:
         UnknownNameError: (a ``ValueError`` and a ``KeyError``) if there is none; the message lists those
             there are.
 
-    Examples:
+    Example:
         >>> get_estimator("cnn_gru").__name__
         'CNNGRUEstimator'
     """
@@ -89,7 +89,7 @@ def build_estimator(factory: EstimatorFactory, **arguments: Any) -> nn.Module:
     Raises:
         EstimatorError: if the factory raises an error, or returns no module.
 
-    Examples:
+    Example:
         >>> build_estimator(get_estimator("mlp"), history_shape=(4, 5), out_features=3).history_shape
         (4, 5)
     """
@@ -110,7 +110,7 @@ def build_estimator(factory: EstimatorFactory, **arguments: Any) -> nn.Module:
 def available_estimators() -> tuple[str, ...]:
     """Return the registered names.
 
-    Examples:
+    Example:
         >>> {"cnn_gru", "mlp"} <= set(available_estimators())
         True
     """
@@ -134,7 +134,7 @@ class TimeConvolution(nn.Linear):
         kernel (int): time steps in a window.
         stride (int): time steps from one window to the next. Defaults to 1.
 
-    Examples:
+    Example:
         >>> TimeConvolution(3, 8, kernel=4, stride=2)(torch.zeros(5, 10, 3)).shape
         torch.Size([5, 4, 8])
     """
@@ -150,7 +150,7 @@ class TimeConvolution(nn.Linear):
 
 @register_estimator("cnn_gru")
 class CNNGRUEstimator(nn.Module):
-    """CNN-GRU + MLP estimator of Table I (reading A26), stateless on the history window.
+    """CNN-GRU + MLP estimator of Table I (question A26), stateless on the history window.
 
     Two convolutions over time shorten the window, a GRU reads the few steps that are left, an MLP maps its
     last state to the estimate. The first convolution has stride ``round(H / 5)`` and twice that as kernel:
@@ -164,7 +164,7 @@ class CNNGRUEstimator(nn.Module):
         gru_features (int): width of the GRU. Defaults to 64.
         mlp_cells (sequence of int): hidden widths of the head. Defaults to ``(128,)``.
 
-    Examples:
+    Example:
         >>> import torch
         >>> CNNGRUEstimator((10, 46), 16)(torch.zeros(2, 3, 10, 46)).shape
         torch.Size([2, 3, 16])
@@ -214,7 +214,7 @@ class MLPEstimator(nn.Module):
         out_features (int): size of the estimate.
         cells (sequence of int): hidden widths. Defaults to ``(256, 128)``.
 
-    Examples:
+    Example:
         >>> import torch
         >>> MLPEstimator((10, 46), 16)(torch.zeros(4, 10, 46)).shape
         torch.Size([4, 16])
@@ -244,7 +244,7 @@ class NormalizedEstimator(nn.Module):
         side_norms (sequence of RunningNormalizer): of side inputs, one for each, which are appended to every step of
             the history, so that any estimator of histories can read them. Defaults to none.
 
-    Examples:
+    Example:
         >>> import torch
         >>> estimator = NormalizedEstimator(get_estimator("mlp")((4, 5), 3), RunningNormalizer(5))
         >>> estimator(torch.zeros(2, 4, 5)).shape

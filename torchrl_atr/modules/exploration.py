@@ -33,7 +33,7 @@ class Exploration(nn.Module):
         ValueError: unless ``0 <= min_std < init_std``, for another number of values than one or ``actions``, and for a
             basis whose columns are not orthonormal.
 
-    Examples:
+    Example:
         >>> exploration = Exploration(2, init_std=0.3)
         >>> exploration.std().tolist()
         [0.30000001192092896, 0.30000001192092896]
@@ -97,7 +97,7 @@ def hadamard_leg_basis(joints: int = 3) -> Tensor:
     Returns:
         Tensor: (4 * joints, 4 * joints), orthonormal columns.
 
-    Examples:
+    Example:
         >>> hadamard_leg_basis(1)[:, 0].tolist()
         [0.5, 0.5, 0.5, 0.5]
     """
@@ -115,7 +115,7 @@ def check_basis(basis: Tensor, actions: int) -> Tensor:
     Raises:
         ValueError: if the shape is another one, or the columns are not orthonormal.
 
-    Examples:
+    Example:
         >>> check_basis(torch.eye(2), 2).shape
         torch.Size([2, 2])
     """

@@ -15,7 +15,7 @@ class NetworkKeys:
     :func:`~torchrl_atr.modules.make_networks` is told so: ``estimator_inputs=[keys.dead_reckoned_velocity]`` and
     ``critic_inputs=[keys.tracking_forecast]``.
 
-    Examples:
+    Example:
         >>> NetworkKeys(observation=("agent", "obs")).observation
         ('agent', 'obs')
     """
@@ -38,7 +38,7 @@ class NetworkKeys:
     def for_loss(self) -> dict[str, NestedKey]:
         """The same entries by the names that ``ROAClipPPOLoss.set_keys`` has for them.
 
-        Examples:
+        Example:
             >>> NetworkKeys(extrinsic="truth").for_loss()["extrinsic"]
             'truth'
         """

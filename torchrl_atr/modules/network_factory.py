@@ -62,7 +62,7 @@ def make_networks(
         exploration (Exploration, optional): of as many actions; it becomes part of the networks, in their dtype.
             None, the default, is ``Exploration(A)``.
         critic_cells (sequence of int): hidden widths of the critic.
-        privileged_critic (bool): whether the critic reads both privileged entries beside the observation (reading A20).
+        privileged_critic (bool): whether the critic reads both privileged entries, too (question A20).
         critic_inputs (sequence of NestedKey): entries that the critic reads in addition, such as
             ``[("privileged", "tracking_forecast")]``. Defaults to none.
         reflections (mapping of NestedKey to Tensor, optional): how each entry's mirror image is made, (D, D) for the
@@ -79,7 +79,7 @@ def make_networks(
             observation, the estimator is unknown, the exploration is of another number of actions, or a reflection is
             none. EstimatorError: if the estimator's factory fails.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Composite, Unbounded
         >>> spec = Composite(
         ...     observation=Unbounded((5,)),

@@ -42,7 +42,7 @@ class RidingNetworks(nn.Module):
     Attributes:
         command_range (CommandRange or None): what the deployed policy is told of a command; None, as at first, for all.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Composite, Unbounded
         >>> from torchrl_atr.modules import make_networks
         >>> privileged = Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,)))

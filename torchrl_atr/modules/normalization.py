@@ -32,7 +32,7 @@ class RunningNormalizer(nn.Module):
     Raises:
         ValueError: if ``clip`` or ``eps`` is not positive, or a tensor does not end with ``shape``.
 
-    Examples:
+    Example:
         >>> import torch
         >>> norm = RunningNormalizer(1)
         >>> norm.update(torch.tensor([[1.0], [3.0]]))

@@ -23,7 +23,7 @@ class DeviceBridge(TensorDictModuleBase):
         device (torch.device or str): where it runs.
         captured (bool): as a CUDA graph, for batches of one shape and one exploration type. Defaults to False.
 
-    Examples:
+    Example:
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule
         >>> policy = DeviceBridge(TensorDictModule(torch.nn.Linear(3, 2), ["observation"], ["action"]), "cpu")

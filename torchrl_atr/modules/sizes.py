@@ -42,7 +42,7 @@ def entry_shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
     Raises:
         KeyError: if there is no such entry. ValueError: if it has fewer dimensions.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Unbounded
         >>> entry_shape(Composite(history=Unbounded((8, 4, 5))), "history", 2)
         (4, 5)
@@ -65,7 +65,7 @@ def input_sizes(spec: Composite, argument: str, inputs: Sequence[NestedKey]) -> 
         InputError: if the value is no list of keys.
         KeyError: if the spec has no such entry.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Unbounded
         >>> input_sizes(Composite(wind=Unbounded((8, 3))), "estimator_inputs", ["wind"])
         [3]
@@ -97,7 +97,7 @@ def estimator_sizes(
     Raises:
         KeyError: if the spec lacks an entry.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Composite, Unbounded
         >>> spec = Composite(
         ...     observation=Unbounded((5,)),
@@ -120,7 +120,7 @@ def check_widths(**cells: Sequence[int]) -> None:
     Raises:
         InputError: for what is no list of whole numbers, 1 or more.
 
-    Examples:
+    Example:
         >>> check_widths(actor_cells=(512, 256))
     """
     for name, widths in cells.items():

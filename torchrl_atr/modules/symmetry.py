@@ -23,7 +23,7 @@ def check_reflection(reflection: Tensor, features: int, name: str = "a reflectio
     Raises:
         ValueError: if it is not a signed permutation that undoes itself.
 
-    Examples:
+    Example:
         >>> check_reflection(torch.tensor([[0, 1], [1, 0]]), 2)
         tensor([[0., 1.],
                 [1., 0.]])
@@ -46,7 +46,7 @@ def halves_swapped(features: int) -> Tensor:
     Raises:
         ValueError: for an odd number.
 
-    Examples:
+    Example:
         >>> halves_swapped(2)
         tensor([[0., 1.],
                 [1., 0.]])
@@ -69,7 +69,7 @@ class SymmetricLinear(nn.Module):
     Raises:
         ValueError: if either is no reflection.
 
-    Examples:
+    Example:
         >>> layer = SymmetricLinear(torch.diag(torch.tensor([1.0, -1.0])), halves_swapped(4))
         >>> x = torch.tensor([2.0, 3.0])
         >>> bool(torch.allclose(layer(x * torch.tensor([1.0, -1.0])), layer(x).roll(2), atol=1e-6))
@@ -168,7 +168,7 @@ def join_reflections(*parts: Tensor | None) -> Tensor:
     Raises:
         ValueError: if one is None: the mirror image of a part is not known.
 
-    Examples:
+    Example:
         >>> join_reflections(torch.eye(1), -torch.eye(1)).diagonal()
         tensor([ 1., -1.])
     """
@@ -183,7 +183,7 @@ def make_mlp(
 ) -> nn.Module:
     """An MLP with ELU between its layers: TorchRL's, or a symmetric one where inputs and outputs have reflections.
 
-    Examples:
+    Example:
         >>> make_mlp(3, 1, [8], None)(torch.zeros(2, 3)).shape
         torch.Size([2, 1])
     """
@@ -203,7 +203,7 @@ def symmetric_mlp(inputs: Tensor, outputs: Tensor, cells: Sequence[int]) -> nn.S
     Raises:
         ValueError: for an odd width, for none, or a matrix that is no reflection.
 
-    Examples:
+    Example:
         >>> symmetric_mlp(torch.eye(3), torch.eye(1), [8, 4])(torch.zeros(2, 3)).shape
         torch.Size([2, 1])
     """

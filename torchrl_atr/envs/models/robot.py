@@ -159,7 +159,7 @@ def _ship(name: str, *, legs: Sequence[str], joint: str, parts: Sequence[str], *
     register_robot(name, spec)
 
 
-# Poses: reading A35. Gains: A13, for the heavy G2 robots scaled with their mass. Heights: where the robot settles.
+# Poses: question A35. Gains: A13, for the heavy G2 robots scaled with their mass. Heights: where the robot settles.
 _UNITREE: dict[str, Any] = {
     "trunk": "trunk",
     "legs": LEGS,

@@ -144,7 +144,7 @@ class TransporterSpec:
         max_yaw_acceleration: αmax, rad/s² at a steering tilt of ``tilt_norm``.
         tilt_norm: θnp, rad.
         resistance: the coefficients (c0, c1, c2) of R(x) = c0 + c1 x + c2 x².
-        sb_stiffness: nominal self-balancing stiffness as printed in Table II (its unit is reading A12): roll and
+        sb_stiffness: nominal self-balancing stiffness as printed in Table II (its unit is question A12): roll and
             pitch of a single board, right and left of two.
         sb_damping: nominal self-balancing damping, likewise.
         spring_scale: what both are multiplied by under the reading ``scaled_springs`` (A12).
