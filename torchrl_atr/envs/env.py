@@ -69,7 +69,7 @@ class QuadrupedEnv(EnvBase):
 
     Actions are joint displacements in units of the robot's action scale: PD targets q0 + scale · action. Their spec is
     bounded, ±:data:`~torchrl_atr.envs.tasks.runner.ACTION_LIMIT`, for ``rand_action`` and squashed policies such as
-    ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. Actions are not clipped: larger ones, as of Gaussian policies,
+    ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. It does not clip: larger ones, as of Gaussian policies,
     are applied as long as they are finite in float32, up to the joints' control ranges.
 
     An env can be pickled and copied (``copy.deepcopy``), and continues from there bit for bit. ``set_seed`` fixes

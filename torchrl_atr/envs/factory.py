@@ -60,7 +60,7 @@ def make_env(
         failed_episode_replay: share of the failures after which the same robot tries again.
         dump_dir: where simulations that failed are written.
         compiled: whether ``torch.compile`` is used.
-        seed: of env and curriculum alike, as ``env.set_seed`` sets both. Copies made with the same seed behave alike; those
+        seed: of env and curriculum alike, as ``env.set_seed`` sets both. Copies with the same seed behave alike; those
             of a ``SerialEnv``, ``ParallelEnv`` or collector get different ones from its ``set_seed``.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
