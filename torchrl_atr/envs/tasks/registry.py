@@ -28,7 +28,7 @@ def make_task(name: str, **arguments: Any) -> Task:
 
     Raises:
         UnknownNameError: for an unknown task.
-        InputError: for an argument that the task does not have, which is named, or a function that returns another type.
+        InputError: for an argument that the task does not have, which is named, or a function of another return type.
 
     Example:
         >>> make_task("riding", robot="go1").robot.name

@@ -171,7 +171,7 @@ class TaskTerms:
         return outcome, velocities, memory, exact
 
     def observe(self, command: Tensor, action: Tensor, memory: Memory, x_int: Tensor) -> Observed:
-        """Return the present observations of all robots with exact sensors, by key, (N, features) each, raw SI units."""
+        """Return the present observations of all robots without sensor errors, by key, (N, features) each, SI units."""
         return self._observed(self._context(self.extractor.read(), command, action, action, memory), x_int)[0]
 
     def _observed(self, context: StepContext, x_int: Tensor) -> tuple[Observed, Observed]:

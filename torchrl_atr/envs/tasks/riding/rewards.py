@@ -161,7 +161,7 @@ def outside_polygon(point: Tensor, feet: Tensor, contacts: Tensor | None = None)
 
 
 def zero_moment_point(state: RidingState) -> Tensor:
-    """Compute the ZMP on the plane of the feet from the body's acceleration, with the transporter's (A31), m, (N, 2)."""
+    """Compute the ZMP on the plane of the feet from the body's acceleration, and the transporter's (A31), m, (N, 2)."""
     height = state.com[:, 2] - state.foot_position[..., 2].mean(-1)
     vertical = (state.acceleration[:, 2] + GRAVITY).clamp_min(0.1 * GRAVITY)
     return state.com[:, :2] - (height / vertical).unsqueeze(-1) * state.acceleration[:, :2]

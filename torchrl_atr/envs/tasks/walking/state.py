@@ -50,12 +50,12 @@ class WalkingStateExtractor(StateExtractor):
         super().__init__(engine)
 
     def gather(self, rows: Rows = slice(None)) -> SimulationSnapshot:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        """Return the engine's tensors of ``rows``, see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         return {**super().gather(rows), "world_offset": single(self.engine.world_offset[rows])}
 
     @property
     def state(self) -> dict[str, Tensor]:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        """World positions of the feet, live; see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         return {"foot_places": self.velocities[:, -12:]}
 
     def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
@@ -65,7 +65,7 @@ class WalkingStateExtractor(StateExtractor):
         return torch.cat([super().velocities_of(snapshot), places.flatten(-2)], -1)
 
     def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        """Return the fields of the state, see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         parts = super().parts(snapshot, velocities, rates)
         along = heading_frame(parts["euler"], parts["velocity"])
         yaw_rate = (parts["rotation"][:, 2] * parts["angular_velocity"]).sum(-1)
