@@ -129,7 +129,7 @@ class QuadrupedEnv(EnvBase):
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The compiled nominal scene; keyframe 0, ``stand``, is the robot standing in q0."""
+        """Compiled nominal scene; keyframe 0, ``stand``, is the robot standing in q0."""
         return self.scene.model
 
     @property

@@ -1,4 +1,4 @@
-"""The asymmetric critic (question A20): it sees everything, since only the actor is deployed."""
+"""Asymmetric critic (question A20), with privileged inputs, since only the actor is deployed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchrl_atr.modules.symmetry import join_reflections, make_mlp
 
 
 class AsymmetricCritic(nn.Module):
-    """Estimate the value of the full state: observation, intrinsic parameters, extrinsic state (question A20), others.
+    """Value network of the full state: observation, intrinsic parameters, extrinsic state (question A20), others.
 
     It has its own MLP and shares only the (frozen between updates) normalisers with the actor.
 

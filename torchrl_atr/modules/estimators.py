@@ -1,4 +1,4 @@
-"""State estimators: what a history of observations says about what the robot cannot sense.
+"""State estimators, which infer unobserved quantities from a history of observations.
 
 An estimator is ``factory(history_shape=(H, D), out_features, **kw) -> nn.Module`` whose module maps a history
 ``(*B, H, D)``, oldest first, to ``(*B, out_features)``. Two are registered here: ``"cnn_gru"`` (Table I) and
@@ -65,8 +65,8 @@ def get_estimator(name: str) -> EstimatorFactory:
     """Return the factory registered under ``name``.
 
     Raises:
-        UnknownNameError: (a ``ValueError`` and a ``KeyError``) if there is none; the message lists those
-            there are.
+        UnknownNameError: (a ``ValueError`` and a ``KeyError``) for an unknown name; the message lists the
+            registered ones.
 
     Example:
         >>> get_estimator("cnn_gru").__name__
@@ -76,18 +76,18 @@ def get_estimator(name: str) -> EstimatorFactory:
 
 
 class EstimatorError(UserError, AssertionError):
-    """An estimator that cannot be built or does not keep the contract; the message says what to do about it."""
+    """Error of an estimator that cannot be built or fails a check; the message names the remedy."""
 
 
 def build_estimator(factory: EstimatorFactory, **arguments: Any) -> nn.Module:
-    """Call a factory, and say what is wrong if that fails.
+    """Build an estimator by its factory, with a clear error if that fails.
 
     Args:
         factory (callable): see :func:`register_estimator`.
-        **arguments: ``history_shape``, ``out_features`` and what else it takes.
+        **arguments: ``history_shape``, ``out_features`` and the factory's others.
 
     Raises:
-        EstimatorError: if the factory raises an error, or returns no module.
+        EstimatorError: if the factory raises an error, or does not return a module.
 
     Example:
         >>> build_estimator(get_estimator("mlp"), history_shape=(4, 5), out_features=3).history_shape
@@ -126,7 +126,7 @@ def _check_history(history: Tensor, history_shape: tuple[int, int]) -> None:
 
 
 class TimeConvolution(nn.Linear):
-    """A convolution over time as a linear map of overlapping windows: what ``nn.Conv1d`` does, faster where T is small.
+    """Convolution over time as a linear map of overlapping windows: an ``nn.Conv1d`` that is faster for small T.
 
     Args:
         in_features (int): of every time step.
@@ -233,7 +233,7 @@ class MLPEstimator(nn.Module):
 
 
 class NormalizedEstimator(nn.Module):
-    """Run an estimator between normalisers: raw history in, estimate in the units of its target out.
+    """Estimator between normalisers: from a raw history to an estimate in the units of its target.
 
     Args:
         net (nn.Module): maps (*B, H, D) to (*B, out_features), both normalised; (*B, H, D + S) with side inputs of S

@@ -1,4 +1,4 @@
-"""How far, and along which directions, a Gaussian policy explores (theta_std)."""
+"""Standard deviations and directions of a Gaussian policy's exploration (theta_std)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 
 class Exploration(nn.Module):
-    """Learn one standard deviation for each direction of exploration, never below a floor (the paper's theta_std).
+    """Learned standard deviation for each direction of exploration, with a floor (the paper's theta_std).
 
     It depends on no input and changes no mean action. ``std = min_std + softplus(raw)``: unlike a clamp, which has
     no gradient below the floor and so keeps an action there for good, softplus lets exploration grow again from any
@@ -26,7 +26,7 @@ class Exploration(nn.Module):
             :func:`~torchrl_atr.modules.hadamard_leg_basis`. None, the default, explores each action by itself.
 
     Attributes:
-        raw (Parameter): what is learned, (A,).
+        raw (Parameter): the learned parameters, (A,).
         basis (Tensor or None): the directions, in the default dtype.
 
     Raises:
@@ -89,7 +89,7 @@ def hadamard_leg_basis(joints: int = 3) -> Tensor:
 
     The columns are the four Hadamard patterns over the legs (common; then two legs against two, in three ways) for each
     joint of a leg. The first ``joints`` columns move all legs alike: they lean, shift and lift the body, which
-    is what tilts a board; independent noise in twelve joints mostly strains the legs against each other.
+    tilts a board; independent noise in twelve joints mostly makes the legs act against each other.
 
     Args:
         joints (int): joints of a leg; the actions are listed leg by leg, the legs in any order.

@@ -155,7 +155,7 @@ def _check_legs(model: mujoco.MjModel, robot: RobotSpec) -> None:
 
 
 def _locate_attached(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Make the file paths of attached models absolute: they are relative to folders that a saved scene does not know."""
+    """Make the file paths of attached models absolute: they are relative to folders unknown to a saved scene."""
     for kind, elements, folder in (
         ("mesh", spec.meshes, "meshdir"),
         ("hfield", spec.hfields, "meshdir"),

@@ -13,7 +13,7 @@ from torchrl_atr.envs.models.feet import find_feet, reach
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
 
 MASS_TOLERANCE = 0.02
-"""Relative tolerance of masses. Public models differ by rounding, which has no effect on riding."""
+"""Relative tolerance of masses. All tolerances allow for rounding in public models, too small to affect riding."""
 LENGTH_TOLERANCE = 0.003
 """Tolerance of joints, feet and centres of mass of the legs, m; the calves of the public Go1 differ by 0.002."""
 TRUNK_TOLERANCE = 0.01

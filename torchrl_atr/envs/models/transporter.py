@@ -74,7 +74,7 @@ class Design:
         boards: of equal length and thickness, side by side.
         driving: the forward and the steering tilt (rows) as combinations of the hinge angles, in the boards' order.
         attitude: pitch and roll (rows) of the frame P, likewise.
-        drive: function from tilt and speeds to propulsion; see :func:`~torchrl_atr.envs.models.drives.tilt_drive`, the default.
+        drive: tilt and speeds to propulsion; :func:`~torchrl_atr.envs.models.drives.tilt_drive` by default.
 
     Raises:
         TransporterError: if there is no hinge, a matrix has another number of columns than there are hinges, or
@@ -94,7 +94,7 @@ class Design:
     def __post_init__(self) -> None:
         count = len(self.hinges)
         if not count:
-            raise TransporterError("a design needs a hinge: without one, no rider can tilt it")
+            raise TransporterError("a design needs a hinge: without one, no robot can tilt it")
         for name in ("driving", "attitude"):
             shape = np.shape(getattr(self, name))
             if shape != (2, count):
@@ -205,7 +205,7 @@ class TransporterSpec:
         return float(total[0]), float(total[1]), float(total[2])
 
     def springs(self, readings: Interpretation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return nominal self-balancing stiffness and damping in Table II's order, N m/rad, N m s/rad, (2,) each (A12)."""
+        """Return nominal stiffness, N m/rad, and damping, N m s/rad, of the hinges in Table II's order, (2,) (A12)."""
         unit = readings.sb_unit * (self.spring_scale if readings.scaled_springs else 1.0)
         return unit * np.array(self.sb_stiffness), unit * np.array(self.sb_damping)
 

@@ -1,7 +1,7 @@
 """Base class of engines: control step with its substep hook, recentring, per-simulation fields, state.
 
-An engine takes and returns tensors on its device. ``batch`` (N robots on all CPUs) and ``dm_control`` (one robot, the reference)
-share memory with MuJoCo; one on a GPU keeps its own.
+An engine takes and returns tensors on its device. ``batch`` (N robots on all CPUs) and ``dm_control`` (one robot, the
+reference) share memory with MuJoCo; one on a GPU has its own.
 """
 
 from __future__ import annotations
@@ -238,7 +238,7 @@ class Engine(ABC):
             target.copy_(state[name])
         self.forward()
         self.torque_velocity.copy_(self.qvel[:, self._joints])
-        for name, target in live.items():  # MuJoCo wrote a new warm start, and reset simulations whose state is not finite
+        for name, target in live.items():  # MuJoCo wrote a new warm start, and reset where a state is not finite
             target.copy_(state[name])
 
     @property

@@ -17,7 +17,7 @@ from torchrl_atr.envs.tasks.sensor_errors import GroupErrors
 
 @dataclass
 class StepContext:
-    """A control step of N robots: the input of reward, observation, termination and memory terms.
+    """Control step of N robots: the input of reward, observation, termination and memory terms.
 
     At the start of an episode the actions are zero and ``terminated`` is false.
 
@@ -28,7 +28,7 @@ class StepContext:
         previous_action: a_{t-1}, (N, 12).
         terminated: early terminations, (N,) bool.
         scene: robot, support and their compiled nominal model.
-        readings: the paper's open questions.
+        readings: answers to the paper's open questions.
         memory: values of the memory terms, by name, (N, size) each; memory terms see the step before.
         observations: the task's groups of observation terms, by key and name; for :meth:`sensed`.
         errors: of the sensors at this step, by the key of the group; exact groups are left out.

@@ -100,7 +100,7 @@ class CommandCurriculum(OwnGenerator):
 
     @property
     def command(self) -> Tensor:
-        """The commands in force (a copy), ``(*B, 2)``, m/s and rad/s.
+        """Commands in force (a copy), ``(*B, 2)``, m/s and rad/s.
 
         Raises:
             RuntimeError: Before the first reset.

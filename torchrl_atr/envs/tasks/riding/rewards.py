@@ -62,7 +62,7 @@ def height_maintenance(c: StepContext) -> Tensor:
 def transporter_smoothness(c: StepContext) -> Tensor:
     """Compute r8: ‖v̇_P‖ + ‖α_P‖, by default of the drive (Eqs. 1 and 3), else differences of P's velocity (A32).
 
-    The text wants abrupt transporter accelerations "slightly" penalised for their inertia effects. P's velocity
+    The paper penalises abrupt transporter accelerations "slightly" for their inertia effects. P's velocity
     changes in a steady turn too, by v ω: at 2 m/s one more rad/s costs 2 per second, of the 8 that it can earn, and
     robots turn half as fast as commanded. With the board's roll and pitch in α_P the term is -9 per second at an
     action noise of 0.2, against +16 for perfect tracking, and robots learn to end their episodes.
