@@ -82,12 +82,7 @@ class Support(ABC):
 
     @abstractmethod
     def build(self, spec: mujoco.MjSpec, robot_mass: float) -> None:
-        """Add the support to a scene, which has a floor already.
-
-        Args:
-            spec: the scene.
-            robot_mass: kg.
-        """
+        """Add the support to a scene, which has a floor already; ``robot_mass`` is in kg."""
 
     def locate(self, model: mujoco.MjModel) -> Any:
         """Return the addresses of the support's parts in the compiled model."""

@@ -117,13 +117,7 @@ def push_robot(engine: Engine, rows: Tensor, generator: torch.Generator, pushes:
 
 
 def stand(scene: Scene, command: Tensor, generator: torch.Generator) -> InitialState:
-    """Start in the standing pose with slightly randomised height and joint angles, at rest.
-
-    Args:
-        scene: its keyframe ``stand`` is the standing pose.
-        command: (n, C); not read.
-        generator: source of randomness.
-    """
+    """Return n standing poses at rest, with slightly randomised height and joint angles; ``command`` is unused."""
     n, key = len(command), scene.model.key(STAND)
     joints, root = scene.layout.joint_qpos, scene.layout.root_qpos
     draw = torch.rand(n, 1 + len(joints), generator=generator, dtype=torch.float64)

@@ -37,8 +37,7 @@ class IntrinsicParameter:
         test: testing range; the training range by default.
         nominal: the value without randomisation; the middle of the training range by default.
         size: number of components; ``"joints"`` for one per leg joint.
-        mirror: its mirror image, which symmetric networks need; see
-            :class:`~torchrl_atr.envs.tasks.observation_terms.ObservationTerm`. Unchanged by default.
+        mirror: its mirror image, for symmetric networks, as of an ``ObservationTerm``; unchanged by default.
 
     Raises:
         IntrinsicError: if ``apply`` cannot be called, a range is invalid, or ``size`` or ``nominal`` is not a number.
@@ -135,15 +134,12 @@ class Intrinsics:
         return torch.tensor(scaled, dtype=torch.float32).reshape(-1, 2).repeat_interleave(sizes, 0).T
 
     def sample(self, n: int, randomization: Randomization, generator: torch.Generator) -> Tensor:
-        """Draw x_int for n robots.
+        """Draw x_int for n robots, (n, size) float32, each component scaled so that its training range is [-1, 1].
 
         Args:
             n: number of robots.
             randomization: ``"train"`` or ``"test"`` range, or ``"off"`` for the nominal values.
             generator: source of randomness.
-
-        Returns:
-            (n, size) float32, each component scaled so that its training range is [-1, 1].
 
         Raises:
             ValueError: for another ``randomization``.
@@ -153,11 +149,7 @@ class Intrinsics:
         return low + (high - low) * torch.rand(n, self.size, generator=generator, dtype=torch.float32)
 
     def values(self, x_int: Tensor) -> dict[str, Tensor]:
-        """Return the values by name, (n, size of each) float64: the inverse of the scaling.
-
-        Args:
-            x_int: (n, size).
-        """
+        """Return the values of x_int, (n, size), by name, (n, size of each) float64: the inverse of the scaling."""
         low, high = self._train
         values = low + (x_int.double() + 1.0) * (high - low) / 2.0
         return {name: values[:, part] for name, part in self.slices.items()}

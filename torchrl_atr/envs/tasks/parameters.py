@@ -85,12 +85,7 @@ def scaled(function: Apply, unit: float | Tensor, fields: ModelFields, value: Te
 
 
 def robot_parameters(robot: RobotSpec, readings: Interpretation) -> dict[str, IntrinsicParameter]:
-    """Return Table II's rows of the robot and its feet, by name in its order.
-
-    Args:
-        robot: its nominal gains.
-        readings: meaning of the ranges of the PD gains (A13).
-    """
+    """Return Table II's rows of the robot and its feet, by name in its order; ``readings`` decide on A13."""
     stiffness, damping = (robot.kp, robot.kd) if readings.gains_as_ratios else (TABLE_II_KP, TABLE_II_KD)
     return {
         "payload": IntrinsicParameter(payload, (0.0, 1.0), (0.0, 3.0), 0.0),

@@ -60,9 +60,9 @@ def _start(moving: float, displaced: float, scene: Scene, command: Tensor, gener
 
     The transporter may move at part of the command: tracking kernels are steepest near their peak, and the yaw rate
     follows a lean by seconds. A robot that starts at (part of) the commanded yaw rate is rewarded at once for a lean
-    that keeps it; one that starts at rest has the costs of the lean long before it turns. Each component of a start is
-    uniform between 0 and its command. A displaced robot stands up to :data:`DISPLACEMENT` from the middle and turned
-    by up to :data:`TURN`, as after a minute of pushes, and must step back.
+    that keeps it; one that starts at rest has the costs of the lean long before it turns. Each component of a moving
+    start is uniform between 0 and its command. A displaced robot stands up to :data:`DISPLACEMENT` from the middle and
+    turned by up to :data:`TURN`, as after a minute of pushes, and must step back.
     """
     n = len(command)
     draw = torch.rand(n, 4, generator=generator, dtype=torch.float64)
