@@ -30,12 +30,12 @@ from torchrl_atr.envs.tasks.terms import StepOutcome
 from torchrl_atr.envs.transforms.seeding import make_generator
 
 _LOGGED = 20
-"""Failures that are logged and dumped: the first tell the most, and a disk is finite."""
+"""Number of failures that are logged and dumped: the first are the most informative, and a disk is finite."""
 _LOG = logging.getLogger(__name__)
 
 
 class QuadrupedEnv(EnvBase):
-    """Quadrupeds at a task, which is read here once.
+    """Batched env of N quadrupeds at a task, which is read once, at construction.
 
     Each robot has its own intrinsic parameters, drawn anew at every reset. The env scores with the command it is given
     and echoes it; :class:`~torchrl_atr.envs.transforms.CommandCurriculum` usually draws it. Without a command it is
@@ -43,7 +43,7 @@ class QuadrupedEnv(EnvBase):
 
     Args:
         task: what is observed, rewarded, randomised, reset and ended, such as
-            :func:`~torchrl_atr.envs.tasks.riding` or one of your own.
+            :func:`~torchrl_atr.envs.tasks.riding` or your own.
         num_envs: N.
         physics: ``"batch"`` (N robots, all CPUs) or ``"dm_control"`` (one robot, the reference).
         randomization: ``"train"`` or ``"test"`` range of the intrinsic parameters, or ``"off"``.
@@ -58,7 +58,7 @@ class QuadrupedEnv(EnvBase):
             steps less; needs a C++ compiler and Python's headers.
 
     A simulation that diverges, or an observation or reward that is not finite, ends that robot's episode as terminated,
-    with zeros where there was no number, and is counted and logged; the others do not notice.
+    with zeros in place of the invalid numbers, and is counted and logged; the other robots are unaffected.
 
     Raises:
         RobotError: for a robot that cannot do the task as it is described.
@@ -69,10 +69,10 @@ class QuadrupedEnv(EnvBase):
 
     Actions are joint displacements in units of the robot's action scale: PD targets q0 + scale · action. Their spec is
     bounded, ±:data:`~torchrl_atr.envs.tasks.runner.ACTION_LIMIT`, for ``rand_action`` and squashed policies such as
-    ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. It is no clip: larger ones, as a Gaussian policy's may be,
-    are carried out as long as they are finite in float32, up to the joints' control ranges.
+    ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. It does not clip: larger ones, as of Gaussian policies,
+    are applied as long as they are finite in float32, up to the joints' control ranges.
 
-    An env can be pickled and copied (``copy.deepcopy``), and goes on from there bit for bit. ``set_seed`` fixes
+    An env can be pickled and copied (``copy.deepcopy``), and continues from there bit for bit. ``set_seed`` fixes
     intrinsics, initial states and disturbances, and the commands of a curriculum in front of it.
 
     Keys, float32 and SI units: ``action`` (N, 12) and ``command`` (N, C) in; out the task's groups of observations (of
@@ -119,7 +119,7 @@ class QuadrupedEnv(EnvBase):
 
     @property
     def engine(self) -> Engine:
-        """The physics: simulation state, hook, place in the world."""
+        """Physics engine: simulation state, hook, position in the world."""
         return self.runner.engine
 
     @property
@@ -129,12 +129,12 @@ class QuadrupedEnv(EnvBase):
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The compiled nominal scene; keyframe 0, ``stand``, is the robot standing in q0."""
+        """Compiled nominal scene; keyframe 0, ``stand``, is the robot standing in q0."""
         return self.scene.model
 
     @property
     def num_diverged(self) -> int:
-        """Robots whose simulation, observations or rewards have failed so far; each ended its own episode."""
+        """Number of failed simulations, observations or rewards so far; each ended the episode of its robot."""
         return self.runner.num_diverged
 
     @num_diverged.setter
@@ -143,12 +143,12 @@ class QuadrupedEnv(EnvBase):
 
     @property
     def speeds(self) -> Tensor | None:
-        """What answers the command now, component by component, (N, C); None if the task observes no ``speeds``."""
+        """Measured speeds that follow the command, per component, (N, C); None if the task observes no ``speeds``."""
         return self._emitted.get("speeds", None)
 
     @property
     def reflections(self) -> dict[NestedKey, Tensor]:
-        """By key the matrix R, (D, D), that makes an entry's mirror image R x; the action's too.
+        """Matrices R, (D, D), by key, that map an entry x to its mirror image R x; the action's too.
 
         An episode and its mirror image obey the same physics and earn the same reward, up to the order in which a
         solver adds numbers: observing, acting and reflecting commute. R is a signed permutation that undoes itself.
@@ -195,7 +195,7 @@ class QuadrupedEnv(EnvBase):
             return
         self.rng.manual_seed(check_whole("seed", seed, high=2**63 - 1))
         self.seeding = (1 if self.seeding is None else self.seeding[0] + 1), int(seed)
-        self.runner.failed = torch.zeros_like(self.runner.failed)  # who failed before the seed does not try again
+        self.runner.failed = torch.zeros_like(self.runner.failed)  # failures before the seed are not replayed
 
     @keeps_normal_tensors
     @one_torch_thread_if_small
@@ -227,7 +227,7 @@ class QuadrupedEnv(EnvBase):
         return self._pack(outcome.terminated, outcome.terms, reward=outcome.reward)
 
     def _terminate_failed(self, outcome: StepOutcome) -> None:
-        """End the episodes of robots that failed; where what they observe is no number, it is zero."""
+        """End the episodes of robots that failed; set observations that are not finite to zero."""
         failed = dict.fromkeys(self.engine.diverged.nonzero().squeeze(-1).tolist(), "its simulation diverged")
         if not outcome.finite:
             terms = {("reward_terms", name): term for name, term in outcome.terms.items()}
@@ -255,7 +255,7 @@ class QuadrupedEnv(EnvBase):
         return as_float32("command", command, shape, f"({', '.join(asked.names)})", f"give {', '.join(asked.units)}")
 
     def _pack(self, terminated: Tensor, terms: dict[str, Tensor] | None = None, **more: Tensor) -> TensorDict:
-        """Return what was observed last, with reward terms (None for zero), flags and ``more``."""
+        """Return the last observations, with reward terms (None for zero), flags and ``more``."""
         terminated, names = terminated.unsqueeze(-1), self.runner.terms.rewards.terms
         terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape, dtype=torch.float32).unbind()))
         flags = {"terminated": terminated, "truncated": torch.zeros_like(terminated), "done": terminated.clone()}
@@ -274,7 +274,7 @@ class QuadrupedEnv(EnvBase):
     def set_state(self, state: TensorDictBase) -> None:
         """Restore a state of :meth:`get_state`: intrinsic parameters, simulation state and bookkeeping.
 
-        Without ``emitted``, the last observations, a state of one's own making is observed anew: under the ``command``
+        Without ``emitted``, the last observations, a custom state is observed anew: with the ``command``
         (N, 2) that it may hold, with accelerations of zero and differences to the present state.
 
         Raises:

@@ -20,11 +20,11 @@ from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, task_tra
 
 
 class CurriculumEnv(TransformedEnv):
-    """A transformed env with a command curriculum among its transforms, whatever its place."""
+    """Transformed env with a command curriculum at any position among its transforms."""
 
     @property
     def curriculum(self) -> CommandCurriculum:
-        """The curriculum, which also pins commands."""
+        """Command curriculum, which also pins commands."""
         return next(transform for transform in self.transform if isinstance(transform, CommandCurriculum))
 
 
@@ -51,7 +51,7 @@ def make_env(
     """Return a task's env behind command curriculum, observation, history, time limit and episode reward.
 
     Args:
-        task: such as :func:`~torchrl_atr.envs.tasks.riding` or one of your own; its ``tracking`` terms are scored.
+        task: such as :func:`~torchrl_atr.envs.tasks.riding` or your own; its ``tracking`` terms are scored.
         num_envs: N.
         physics: see :class:`QuadrupedEnv`, as for ``randomization``, ``num_threads``, ``failed_episode_replay``,
             ``dump_dir`` and ``compiled``.
@@ -60,12 +60,12 @@ def make_env(
         failed_episode_replay: share of the failures after which the same robot tries again.
         dump_dir: where simulations that failed are written.
         compiled: whether ``torch.compile`` is used.
-        seed: of env and curriculum alike, as ``env.set_seed`` sets both. Copies made with the same seed do alike; those
+        seed: of env and curriculum alike, as ``env.set_seed`` sets both. Copies with the same seed behave alike; those
             of a ``SerialEnv``, ``ParallelEnv`` or collector get different ones from its ``set_seed``.
         history_length: H, past observations that the estimators read.
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
-        stagger: if positive, the robots' first episodes end at different times, and the limit is looked at in every so
-            many steps (for training): see :class:`~torchrl_atr.envs.transforms.RandomizedStepCounter`.
+        stagger: if positive, the robots' first episodes end at different times, and the limit is checked every
+            ``stagger`` steps (for training): see :class:`~torchrl_atr.envs.transforms.RandomizedStepCounter`.
         window: control steps that a command lasts (5 s at 50 Hz).
         grid: the curriculum's cells and update rule; None for the task's.
         overspeed_margin: end episodes of robots faster than any command by this much, in the units of the command (for

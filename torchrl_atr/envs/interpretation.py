@@ -1,4 +1,4 @@
-"""The paper's open questions as settings: one field for each, and named profiles that answer all of them.
+"""Open questions of the paper as settings: one field for each, and named profiles that answer all of them.
 
 Numbers A1 ... A34 are those of docs/readings.md; ``torchrl-atr list questions`` prints every question with its answers.
 """
@@ -16,7 +16,7 @@ from torchrl_atr._settings import Setting, Settings, setting, settings
 
 @dataclass(frozen=True)
 class Interpretation(Settings):
-    """How the env reads the paper where it is silent or contradicts itself; :func:`open_questions` says why.
+    """Choices made where the paper is silent or contradicts itself; :func:`open_questions` gives the reasons.
 
     Raises:
         ConfigError: for a value out of range.
@@ -31,7 +31,7 @@ class Interpretation(Settings):
     relative_mass: bool = setting(True, question="A9", literal=False)
     """Divide drive and resistance by the mass relative to its nominal, not by the mass. Printed, Eqs. 1 and 3 peak at
     12 / 11.5 = 1.04 m/s² although the text says 12 m/s² at 45 degrees. Relative to the nominal mass both hold, and the
-    board catches a leaning rider as a Segway does."""
+    board catches a leaning robot as a Segway does."""
     odd_resistance: bool = setting(True, question="A10", literal=False)
     """Let R(x) act against the motion. R(x) = 0.2 + 0.05 x + 0.005 x² is not odd: at x < 0 its constant would push. A
     resistance acts against the motion."""
@@ -79,11 +79,11 @@ class Interpretation(Settings):
     estimates lag by one step, 20 ms. Extreme Parkour leaves o_t out as well; with it, estimates are of the present."""
     contacting_polygon: bool = setting(False, question="A31")
     """Let r4's and r5's polygon be of the feet in contact; with fewer than three all is outside. r4's and r5's polygon
-    is 'defined by foot positions': of all four feet, or of those that bear. All four, as printed; a lifted foot already
-    costs r6."""
+    is 'defined by foot positions': of all four feet, or of those in contact. All four, as printed; a lifted foot
+    already costs r6."""
     driven_smoothness: bool = setting(True, question="A32", off=False, addition="r8 of the drive's accelerations alone")
-    """Let r8 take the accelerations that the drive gives, without centripetal, roll's and pitch's. r8 wants abrupt
-    accelerations 'slightly' penalised. As printed it also charges a steady turn, v ω, and the board's wobble: -9 a
+    """Let r8 take the accelerations that the drive gives, without centripetal, roll's and pitch's. r8 penalises
+    abrupt accelerations 'slightly'. As printed it also charges a steady turn, v ω, and the board's wobble: -9 a
     second at an action noise of 0.2, against +16 for tracking. By default the drive's own."""
     tilt_limit: float = setting(1.0, within=(0.05, math.pi / 2), question="A34", unit="rad", legged_gym=0.78)
     """Body roll or pitch beyond which the episode ends. The paper ends an episode that 'risks flipping or falling'. The
@@ -96,7 +96,7 @@ class Interpretation(Settings):
 
 
 def open_questions() -> dict[str, Setting]:
-    """Return what each field of :class:`Interpretation` decides, by name."""
+    """Return the question and answers behind each field of :class:`Interpretation`, by name."""
     return settings(Interpretation)
 
 

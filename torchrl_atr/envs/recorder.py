@@ -1,4 +1,4 @@
-"""A flight recorder: the last control steps of every simulation, written to a file when one fails."""
+"""Recorder of the last control steps of every simulation, which are written to a file when one fails."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from torchrl_atr.envs.tasks.runner import EpisodeRunner
 from torchrl_atr.envs.tasks.task import Task
 
 LENGTH = 25
-"""Control steps that are kept: half a second, some 60 kB for a robot."""
+"""Number of control steps that are kept: half a second, some 60 kB per robot."""
 _PARTS = {"scene", "env_id", "step", "reason", "x_int", "states", "actions"}
 
 
 class FlightRecorder:
-    """Keeps what the last control steps began from, and what was done in them.
+    """Recorder of the initial states and actions of the last control steps.
 
     Args:
         runner: whose robots are recorded.
         scene: robot, transporter and so on by name, to build the scene again; plain values.
-        folder: where dumps go; made when there is one.
-        length: control steps that are kept.
+        folder: of dumps; created with the first one.
+        length: number of control steps that are kept.
 
     Example:
         See :func:`torchrl_atr.evaluation.replay`.
@@ -58,14 +58,14 @@ class FlightRecorder:
         self._noted += 1
 
     def dump(self, row: int, reason: str) -> str:
-        """Write what is recorded of a robot's present episode.
+        """Write the recorded steps of a robot's present episode.
 
         Args:
             row: which robot.
             reason: what went wrong.
 
         Returns:
-            How to look at it, or why it could not be written: a full disk must not end what a failure did not.
+            How to replay it, or why it could not be written: a full disk must not end a run.
         """
         kept = min(self._noted, self.length, int(self.runner.steps[row]))
         slots = [(self._noted - kept + i) % self.length for i in range(kept)]
@@ -128,6 +128,6 @@ def load_dump(path: Path) -> dict[str, Any]:
         scene = dump["scene"]
         for name in COPIES & scene.keys():
             scene[name] = str(path.resolve().parent / scene[name]) if is_spec_file(scene[name]) else scene[name]
-    except Exception as error:  # whatever unpickling a file of another kind comes to
+    except Exception as error:  # unpickling a file of another kind may raise anything
         raise InputError(f"{path} is not a dump of a diverged simulation; give a file of a run's diverged/") from error
     return dump

@@ -1,4 +1,4 @@
-"""Specs of what an env emits, and the form that it emits it in."""
+"""Specs of an env's outputs, and their nested form."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def values(n: int, size: int) -> Unbounded:
 
 
 def observation_spec(emitted: Mapping[NestedKey, Tensor], terms: Iterable[str]) -> Composite:
-    """Return the spec of what a reset and a step emit besides reward and flags.
+    """Return the spec of the outputs of reset and step besides reward and flags.
 
     Args:
         emitted: observations by key, (n, D) each.

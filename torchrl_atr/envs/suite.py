@@ -1,4 +1,4 @@
-"""Tasks in dm_control's own terms: ``load`` gives riding as an ordinary ``control.Environment``, ``load_task`` any."""
+"""Tasks as dm_control environments: ``load`` returns riding as a ``control.Environment``, ``load_task`` any task."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 from torchrl_atr.envs.tasks.runner import ACTION_LIMIT, EpisodeRunner
 from torchrl_atr.envs.tasks.terms import Observed, StepOutcome
 
-from dm_control.rl import control  # isort: skip  # after dmc, which says what to install
+from dm_control.rl import control  # isort: skip  # after dmc, whose error names the package to install
 from dm_env import specs  # isort: skip
 
 
@@ -42,7 +42,7 @@ def load(
             ``rewards``.
 
     Returns:
-        The environment; set ``environment.task.command`` to ask for a speed and a yaw rate.
+        The environment; set ``environment.task.command`` to command a speed and a yaw rate.
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
@@ -70,7 +70,7 @@ def load_task(
     """Return one robot at any task, through dm_control's API.
 
     Args:
-        task: such as :func:`~torchrl_atr.envs.tasks.walking` or one of your own.
+        task: such as :func:`~torchrl_atr.envs.tasks.walking` or your own.
         randomization: see :func:`load`.
         time_limit: likewise.
         random: likewise.
@@ -83,12 +83,12 @@ def load_task(
 
 
 class SuiteTask(control.Task):
-    """Hands dm_control's calls on to the runner that ``QuadrupedEnv`` drives as well.
+    """dm_control task that forwards calls to the runner, which ``QuadrupedEnv`` uses too.
 
     Observations are flat arrays: ``proprio``, ``command``, ``observation`` (the two joined) and the task's other groups
     by their keys, nested ones joined, such as ``privileged_extrinsic`` (``privileged_...`` and ``speeds`` are not for a
     policy). Early termination has discount 0. Actions are bounded as those of ``QuadrupedEnv`` are; larger ones are
-    carried out up to the joints' control ranges.
+    applied up to the joints' control ranges.
 
     Args:
         runner: of a :class:`~torchrl_atr.envs.physics.dmc.DmControlEngine`.
@@ -102,17 +102,17 @@ class SuiteTask(control.Task):
         self.runner = runner
         self._random = random if isinstance(random, np.random.RandomState) else np.random.RandomState(random)
         self._command = torch.zeros(1, len(runner.task.command), dtype=torch.float32)
-        self._first: Observed = runner.observe(self._command)  # whose shapes are asked for before an episode
+        self._first: Observed = runner.observe(self._command)  # dm_control reads its shapes before the first episode
         self._outcome: StepOutcome | None = None
 
     @property
     def command(self) -> NDArray[np.float32]:
-        """What is asked for, (C,), until it is set anew; zero at first. An observation holds that of its step."""
+        """Command in force, (C,), until it is set anew; zero at first. An observation holds that of its step."""
         return self._command[0].numpy().copy()
 
     @command.setter
     def command(self, value: ArrayLike) -> None:
-        with np.errstate(over="ignore"):  # it becomes an infinity, which is refused
+        with np.errstate(over="ignore"):  # an overflow becomes an infinity, which is rejected
             command = torch.as_tensor(np.asarray(value, dtype=np.float32)).reshape(1, -1)
         if command.shape != self._command.shape or not torch.isfinite(command).all():
             names = self.runner.task.command.names
@@ -121,7 +121,7 @@ class SuiteTask(control.Task):
 
     @property
     def reward_terms(self) -> dict[str, float]:
-        """See the class."""
+        """Weighted reward terms of the last step, see the class."""
         return {} if self._outcome is None else {name: float(value) for name, value in self._outcome.terms.items()}
 
     def initialize_episode(self, physics: EnginePhysics) -> None:
@@ -143,13 +143,13 @@ class SuiteTask(control.Task):
         return specs.BoundedArray((self.runner.joints,), np.float64, -ACTION_LIMIT, ACTION_LIMIT, name="action")
 
     def get_observation(self, physics: EnginePhysics) -> dict[str, NDArray[np.float32]]:
-        """Return what is observed, one array for each flat name."""
+        """Return the observations, one array per flat name."""
         observed = self._first if self._outcome is None else self._outcome.observed
         return {_flat(key): value[0].numpy().copy() for key, value in observed.items()}
 
     def get_reward(self, physics: EnginePhysics) -> float:
         """Return the sum of all terms."""
-        assert self._outcome is not None  # dm_control asks after a step
+        assert self._outcome is not None  # dm_control calls this after a step
         return float(self._outcome.reward)
 
     def get_termination(self, physics: EnginePhysics) -> float | None:

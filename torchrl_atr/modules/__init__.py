@@ -1,7 +1,7 @@
 """Networks as TensorDictModules: they know keys and shapes, never an env.
 
-The encoder, the estimators (a registry and a conformance check), the actor, its exploration, the critic, what the
-actor acts on, and :func:`make_networks`, which builds them all from an env's specs.
+The encoder, the estimators (a registry and a conformance check), the actor, its exploration and input sources, the
+critic, and :func:`make_networks`, which builds them all from an env's specs.
 """
 
 from torchrl_atr.modules.act_source import SOURCES, ActSource, AssignActSource, Source

@@ -1,4 +1,4 @@
-"""What the actor acts on: the privileged side, the estimates, or a mix over the robots."""
+"""Input sources of the actor: privileged information, estimates, or a mix over the robots."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ def check_source(source: str) -> None:
 
 
 class ActSource(TensorDictModuleBase):
-    """Write what the actor reads, ``("act", "intrinsic")`` and ``("act", "extrinsic")``.
+    """Module that writes the actor's inputs ``("act", "intrinsic")`` and ``("act", "extrinsic")``.
 
     ==============  ======================================================================================
-    ``privileged``  z of the encoder, with its gradient, and the true extrinsic state: how it is trained
-    ``estimated``   both estimates, detached: how it is deployed
+    ``privileged``  z of the encoder, with its gradient, and the true extrinsic state: for training
+    ``estimated``   both estimates, detached: for deployment
     ``mixed``       the estimates, detached, where the bool ``("act", "student")`` is true, else privileged
     ==============  ======================================================================================
 
-    ``in_keys`` holds exactly what the source reads, so a policy built on ``estimated`` provably reads nothing
-    privileged.
+    ``in_keys`` are exactly the entries that the source reads, so a policy built on ``estimated`` provably reads
+    nothing privileged.
 
     Args:
         source (str): one of the three above.
-        latent, extrinsic (NestedKey): the privileged side, (*B, L) and (*B, E).
+        latent, extrinsic (NestedKey): the privileged inputs, (*B, L) and (*B, E).
         intrinsic_estimate, extrinsic_estimate (NestedKey): the estimates, same shapes.
         student (NestedKey): the mask of ``mixed``, (*B, 1) bool.
-        act_intrinsic, act_extrinsic (NestedKey): what is written.
+        act_intrinsic, act_extrinsic (NestedKey): the outputs.
 
     Raises:
         ValueError: if ``source`` is unknown.
         KeyError: if an entry that the source reads is missing.
 
-    Examples:
+    Example:
         >>> ActSource("estimated").in_keys
         [('estimate', 'intrinsic'), ('estimate', 'extrinsic')]
     """
@@ -97,7 +97,7 @@ class ActSource(TensorDictModuleBase):
 
 
 class AssignActSource(TensorDictModuleBase):
-    """Decide which robots of a rollout act on the estimates: the first ``round(fraction * N)`` rows.
+    """Module that marks the robots that act on the estimates: the first ``round(fraction * N)`` rows.
 
     A row keeps its role for the whole run, so its value targets are of one kind. For rollouts of a batched
     env only: the rows are those of the last batch dimension of the reference entry (*B, N, D), which during
@@ -107,12 +107,12 @@ class AssignActSource(TensorDictModuleBase):
     Args:
         student_fraction (float): share of the rows that act on the estimates, in [0, 1]. Defaults to 0.5.
         reference (NestedKey): any entry with one feature dimension, read for its shape and device only.
-        student (NestedKey): the mask that is written, (*B, N, 1) bool.
+        student (NestedKey): the output mask, (*B, N, 1) bool.
 
     Raises:
         ValueError: if the fraction is outside [0, 1], or there is no batch dimension.
 
-    Examples:
+    Example:
         >>> import torch
         >>> from tensordict import TensorDict
         >>> td = AssignActSource(0.5)(TensorDict(observation=torch.zeros(4, 3), batch_size=[4]))

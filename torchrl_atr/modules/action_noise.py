@@ -1,4 +1,4 @@
-"""Gaussian actions whose noise moves legs together and lasts: what an exploration looks like in a rollout."""
+"""Gaussian actions with noise that is correlated over legs and time, for exploration in rollouts."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor
 
 
 class RotatedNormal(IndependentNormal):
-    """Draw actions from a normal distribution that is independent along the columns of an orthonormal basis.
+    """Normal distribution of actions that is independent along the columns of an orthonormal basis.
 
     Args:
         loc (Tensor): mean action, (*B, A).
         scale (Tensor): standard deviation along each column, (*B, A).
         basis (Tensor, optional): (A, A); None for the actions themselves.
 
-    Examples:
+    Example:
         >>> from torchrl_atr.modules import hadamard_leg_basis
         >>> normal = RotatedNormal(torch.zeros(12), torch.full((12,), 0.1), hadamard_leg_basis())
         >>> normal.rsample().shape, normal.log_prob(torch.zeros(12)).shape
@@ -55,23 +55,23 @@ class RotatedNormal(IndependentNormal):
 
 
 class CorrelatedGaussian(TensorDictModuleBase):
-    """Sample actions loc + scale · ε with ε_t = ρ ε_{t-1} + √(1 - ρ²) ξ_t, for rollouts of a batched env.
+    """Sampler of actions loc + scale · ε with ε_t = ρ ε_{t-1} + √(1 - ρ²) ξ_t, for rollouts of a batched env.
 
     At every step the action has the policy's own marginal distribution, and its log-probability is that of
-    the marginal: a loss that recomputes it finds an importance ratio of one. But a deviation now lasts for
-    1 / (1 - ρ) steps, long enough to lean, tilt the board and feel it turn; white noise at 50 Hz averages out
-    before anything has moved. The noise runs on through resets.
+    the marginal: a loss that recomputes it finds an importance ratio of one. But a deviation lasts for
+    1 / (1 - ρ) steps, long enough to lean, tilt the board and turn; white noise at 50 Hz averages out
+    before the board responds. The noise continues through resets.
 
     Args:
         correlation (float): ρ in [0, 1); 0 is white noise.
         basis (Tensor, optional): of the policy's :class:`RotatedNormal`.
         loc, scale (NestedKey): the policy's mean and standard deviation, (*B, A).
-        action (NestedKey): what is written, with ``<action>_log_prob`` beside it.
+        action (NestedKey): the output, with ``<action>_log_prob`` beside it.
 
     Raises:
         ValueError: unless ``0 <= correlation < 1``.
 
-    Examples:
+    Example:
         >>> from tensordict import TensorDict
         >>> explore = CorrelatedGaussian(0.9)
         >>> td = explore(TensorDict(loc=torch.zeros(4, 2), scale=torch.ones(4, 2), batch_size=[4]))
@@ -112,13 +112,13 @@ class CorrelatedGaussian(TensorDictModuleBase):
         if self._noise is None or self._noise.shape != fresh.shape:
             self._noise = fresh.clone()
             return fresh
-        self._noise = self._noise.to(fresh)  # a checkpoint is read on the CPU
+        self._noise = self._noise.to(fresh)  # a checkpoint is loaded on the CPU
         noise = self.correlation * self._noise + math.sqrt(1 - self.correlation**2) * fresh
-        self._noise.copy_(noise)  # in place: a captured step goes on from what it wrote
+        self._noise.copy_(noise)  # in place: a captured step reads the same buffer again
         return noise
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Return the noise that runs on, (*B, A), or None before the first step."""
+        """Return the current noise, (*B, A), or None before the first step."""
         return {"noise": None if self._noise is None else self._noise.clone()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
@@ -134,12 +134,12 @@ def correlate(actor: ProbabilisticActor, correlation: float, action: NestedKey =
         actor (ProbabilisticActor): a Gaussian policy that writes ``loc`` and ``scale``, such as
             :func:`~torchrl_atr.modules.make_actor`'s.
         correlation (float): ρ in [0, 1).
-        action (NestedKey): what the actor writes.
+        action (NestedKey): the actor's output.
 
     Returns:
         TensorDictSequential: the policy for a collector.
 
-    Examples:
+    Example:
         >>> from torchrl_atr.modules import ActorBackbone, Exploration, RunningNormalizer, make_actor
         >>> actor = make_actor(ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2), Exploration(2))
         >>> correlate(actor, 0.9).in_keys

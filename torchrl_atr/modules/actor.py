@@ -1,4 +1,4 @@
-"""The actor of Table I (pi^a): its backbone, and the policies that are made of it and an exploration."""
+"""Actor of Table I (pi^a): its backbone, and the policies made from it and an exploration."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from torchrl_atr.modules.normalization import RunningNormalizer
 from torchrl_atr.modules.symmetry import check_reflection, halves_swapped, join_reflections, make_mlp
 
 PRODUCT_SCALE = 4.0
-"""Adam moves every weight alike: an input four times as large is learned four times as fast."""
+"""Factor of product inputs: Adam's steps are alike for all weights, so a larger input is learned faster."""
 
 
 class ActorBackbone(nn.Module):
-    """Map what the robot senses and what it knows or estimates to the mean action (Table I, pi^a).
+    """Network from observation, latent and extrinsic state to the mean action (Table I, pi^a).
 
     The observation and the extrinsic state are normalised inside; the latent is not (it has the encoder's
-    scale). How the action is explored is no part of it: see :class:`~torchrl_atr.modules.Exploration`.
+    scale). Exploration is not part of it: see :class:`~torchrl_atr.modules.Exploration`.
 
     Args:
         observation_norm, extrinsic_norm (RunningNormalizer): shared with critic and estimators.
@@ -33,8 +33,8 @@ class ActorBackbone(nn.Module):
         cells (sequence of int): hidden widths. Defaults to ``(512, 256, 128)``.
         products (sequence of pairs of int): for every ``(i, j)`` the network also reads ``tanh(x_i) * x_j`` of the
             normalised observation x, times :data:`PRODUCT_SCALE`. A board turns by the product of two tilts, so
-            the lean that answers a yaw command changes sign with the speed command: an exclusive-or, of which a
-            gradient at first sees nothing.
+            the lean for a yaw command changes sign with the speed command: an exclusive-or, which has no
+            gradient at first.
         reflection (Tensor, optional): of the action, (A, A). The mean action of a mirrored robot is then the mirrored
             mean action; both normalisers need a reflection, and the latent's is a swap of its halves, as
             :class:`~torchrl_atr.modules.IntrinsicEncoder` makes it.
@@ -45,10 +45,10 @@ class ActorBackbone(nn.Module):
 
     Raises:
         ValueError: for a product of entries that the observation does not have, for an output map of another size or
-            without an inverse, and for a reflection that is none, or that does not map each product, and each row of
+            without an inverse, and for an invalid reflection, or one that does not map each product, and each row of
             the output map, to plus or minus one of them.
 
-    Examples:
+    Example:
         >>> import torch
         >>> backbone = ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2)
         >>> backbone(torch.zeros(7, 5), torch.zeros(7, 3), torch.zeros(7, 4)).shape
@@ -75,7 +75,7 @@ class ActorBackbone(nn.Module):
         if any(not 0 <= index < size for pair in products for index in pair):
             raise ValueError(f"products={list(products)} names entries beyond the observation's {size}.")
         pairs = torch.tensor(products, dtype=torch.long).reshape(-1, 2)
-        self.register_buffer("_gates", pairs[:, 0], persistent=False)  # where the input is: lists would be sent there
+        self.register_buffer("_gates", pairs[:, 0], persistent=False)  # on the device: lists would be copied there
         self.register_buffer("_gated", pairs[:, 1], persistent=False)
         output_map = None if output_map is None else _check_output_map(output_map, action_features)
         self.register_buffer("output_map", output_map)
@@ -143,13 +143,13 @@ def make_actor(
         observation (NestedKey): read by the backbone.
         act_intrinsic (NestedKey): read by the backbone, written by the front.
         act_extrinsic (NestedKey): the same.
-        action (NestedKey): what is written, with ``<action>_log_prob`` beside it.
+        action (NestedKey): the output, with ``<action>_log_prob`` beside it.
 
     Returns:
         ProbabilisticActor: a Gaussian policy, a :class:`~torchrl_atr.modules.RotatedNormal` along the directions of the
             exploration.
 
-    Examples:
+    Example:
         >>> backbone = ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2)
         >>> make_actor(backbone, Exploration(2)).in_keys
         ['observation', ('act', 'intrinsic'), ('act', 'extrinsic')]

@@ -1,4 +1,4 @@
-"""A conformance check for estimators, for ours and for yours."""
+"""Conformance check for estimators, for registered and custom ones."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ def check_estimator(
     out_features: int = 16,
     **kwargs: Any,
 ) -> None:
-    """Check that an estimator keeps the contract that policies, losses and exports rely on.
+    """Check that an estimator meets the requirements of policies, losses and exports.
 
     It builds two estimators and checks: output shape, dtype and finiteness for several leading shapes; the
     same output for the same input in eval mode; no row of a batch depends on another; the input is left as
     it is; gradients reach every trainable parameter; in training mode two steps can follow each other, and the
-    second knows nothing of the first; a ``state_dict`` round trip gives the same outputs; a
-    ``copy.deepcopy`` works on weights of its own, as the running mean that is deployed does.
+    second does not depend on the first; a ``state_dict`` round trip gives the same outputs; a
+    ``copy.deepcopy`` uses its own weights, as the exponential moving average that is deployed does.
 
     Args:
         factory (callable): ``factory(history_shape=(H, D), out_features, **kwargs) -> nn.Module``.
@@ -35,10 +35,10 @@ def check_estimator(
         **kwargs: passed to the factory.
 
     Raises:
-        EstimatorError: (an ``AssertionError``) naming the property that fails and what to do about it; so is
-            whatever the factory or its module raises.
+        EstimatorError: (an ``AssertionError``) naming the property that fails and the remedy; it also wraps
+            errors of the factory or its module.
 
-    Examples:
+    Example:
         >>> from torchrl_atr.modules import CNNGRUEstimator
         >>> check_estimator(CNNGRUEstimator, history_shape=(5, 7), out_features=3)
     """
@@ -58,7 +58,7 @@ def check_estimator(
 
 
 def check_registered(name: str, sizes: Iterable[tuple[tuple[int, int], int]], **kwargs: Any) -> None:
-    """Run :func:`check_estimator` on a registered estimator in the sizes that it is going to have.
+    """Run :func:`check_estimator` on a registered estimator in the sizes of its uses.
 
     Args:
         name (str): as registered.
@@ -69,7 +69,7 @@ def check_registered(name: str, sizes: Iterable[tuple[tuple[int, int], int]], **
         UnknownNameError: if there is none of that name.
         EstimatorError: naming the estimator and the property that fails.
 
-    Examples:
+    Example:
         >>> check_registered("mlp", [((10, 46), 16), ((10, 49), 16)])
     """
     factory = get_estimator(name)
@@ -133,7 +133,7 @@ def _check_behaviour(net: nn.Module, history: Tensor) -> None:
     before = history.clone()
     try:
         out = net(history)
-    except Exception as error:  # another batch of as many dimensions has passed
+    except Exception as error:  # another batch with the same number of dimensions has passed
         raise _failure(
             "deterministic",
             f"after other batches a history of shape {tuple(history.shape)} raised {type(error).__name__}: "
@@ -187,7 +187,7 @@ def _check_gradients(net: nn.Module, history: Tensor) -> None:
 
 
 def _check_training(net: nn.Module, history: Tensor) -> None:
-    """Two steps in training mode on the same batch with the same random numbers; then what was there is put back."""
+    """Check two steps in training mode on the same batch with the same random numbers; then restore the state."""
     before = {name: value.detach().clone() for name, value in net.state_dict().items() if isinstance(value, Tensor)}
     net.train()
     outputs = []

@@ -1,4 +1,4 @@
-"""The commands that a deployed policy accepts: what is beyond is clipped, not ridden."""
+"""Range of commands of a deployed policy: commands beyond it are clipped."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from torchrl_atr._files import write_json
 from torchrl_atr.modules.keys import NetworkKeys
 
 COMMAND_RANGE = "command_range.json"
-"""File of a run folder that holds its policy's :class:`CommandRange`; a run without one rides every command."""
+"""File of a run folder that holds its policy's :class:`CommandRange`; a run without one follows every command."""
 
 
 @dataclass(frozen=True)
 class CommandRange:
-    """Bounds of speed, yaw rate and lateral acceleration, and how a command beyond them is clipped.
+    """Bounds of speed, yaw rate and lateral acceleration, to which commands are clipped.
 
-    Speed and yaw rate are clipped to their own bounds. If |v ω| is still too large, the yaw rate gives way, down to
+    Speed and yaw rate are clipped to their own bounds. If |v ω| is still too large, the yaw rate is reduced, down to
     ``least_yaw_rate``, and then the speed. Signs stay, and a command within the range stays as it is.
 
     Attributes:
         max_speed: of |c_v|, m/s.
         max_yaw_rate: of |c_ω|, rad/s.
         max_lateral_acceleration: of |c_v c_ω|, m/s²; None for no such bound.
-        least_yaw_rate: what is left of a larger yaw rate before the speed gives way, rad/s.
+        least_yaw_rate: lower bound to which a larger yaw rate is reduced before the speed, rad/s.
 
     Raises:
-        InputError: for a bound that is no number, or negative; the message names it.
+        InputError: for a bound that is not a number, or negative; the message names it.
 
     Example:
         >>> limits = CommandRange(max_speed=4.0, max_yaw_rate=1.0, max_lateral_acceleration=2.0)
@@ -66,12 +66,12 @@ class CommandRange:
         return torch.stack([speed, yaw_rate], -1)
 
     def _room(self, other: Tensor) -> Tensor:
-        """What the lateral acceleration leaves to speed or yaw rate beside the other one."""
+        """Return the bound of speed or yaw rate that the lateral acceleration leaves, given the other one."""
         bound = torch.full_like(other, self.max_lateral_acceleration or 0.0)
         return torch.where(other == 0, math.inf, bound / other.abs())
 
     def save(self, folder: str | Path) -> Path:
-        """Write the range into a run folder, whose policy is clipped to it from then on."""
+        """Write the range to a run folder, whose policy is then clipped to it."""
         path = Path(folder) / COMMAND_RANGE
         write_json(path, dataclasses.asdict(self))
         return path
@@ -81,7 +81,7 @@ class CommandRange:
         """Read the range of a run folder; None if it has none.
 
         Raises:
-            InputError: if the file is there and holds no range.
+            InputError: if the file exists and is not a valid range.
         """
         path = Path(folder) / COMMAND_RANGE
         if not path.is_file():
@@ -93,10 +93,10 @@ class CommandRange:
 
 
 class ClippedPolicy(TensorDictModuleBase):
-    """A policy that is told of every command only what is in a range.
+    """Policy whose commands are clipped to a range.
 
-    The command is the last two entries of the observation, and of each row of the history. The entries that the policy
-    was given stay as they are; what it computes of the clipped ones is added.
+    The command is the last two entries of the observation, and of each row of the history. The input entries
+    stay as they are; the outputs for the clipped ones are added.
 
     Args:
         policy: reads the observation, the history or both.
@@ -119,7 +119,7 @@ class ClippedPolicy(TensorDictModuleBase):
         self.in_keys, self.out_keys = list(policy.in_keys), list(policy.out_keys)
 
     def forward(self, tensordict: TensorDictBase, **kwargs: Any) -> TensorDictBase:
-        """Add what the policy computes."""
+        """Add the policy's outputs for the clipped commands."""
         told = tensordict.select(*self.in_keys, strict=False)
         for key in (self.keys.observation, self.keys.history):
             value = told.get(key, None)

@@ -1,4 +1,4 @@
-"""The asymmetric critic (reading A20): it sees everything, since only the actor is deployed."""
+"""Asymmetric critic (question A20), with privileged inputs, since only the actor is deployed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchrl_atr.modules.symmetry import join_reflections, make_mlp
 
 
 class AsymmetricCritic(nn.Module):
-    """Estimate the value of the full state: observation, intrinsic parameters, extrinsic state (reading A20), and more.
+    """Value network of the full state: observation, intrinsic parameters, extrinsic state (question A20), others.
 
     It has its own MLP and shares only the (frozen between updates) normalisers with the actor.
 
@@ -31,7 +31,7 @@ class AsymmetricCritic(nn.Module):
     Raises:
         ValueError: if some of the inputs have a reflection and others have none.
 
-    Examples:
+    Example:
         >>> import torch
         >>> critic = AsymmetricCritic(RunningNormalizer(5), RunningNormalizer(4), 6)
         >>> critic(torch.zeros(7, 5), torch.zeros(7, 6), torch.zeros(7, 4)).shape

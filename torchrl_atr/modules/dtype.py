@@ -1,4 +1,4 @@
-"""Networks in the dtype of their data, whatever torch's default is."""
+"""Context manager for networks in the dtype of their data, whatever torch's default dtype."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import torch
 
 @contextmanager
 def default_dtype(dtype: torch.dtype) -> Iterator[None]:
-    """Make modules of this floating-point dtype inside the ``with`` block.
+    """Create modules of this floating-point dtype inside the ``with`` block.
 
-    Examples:
+    Example:
         >>> with default_dtype(torch.float64):
         ...     weight = torch.nn.Linear(1, 1).weight
         >>> weight.dtype

@@ -1,4 +1,4 @@
-"""The intrinsic encoder of Table I (pi^enc)."""
+"""Intrinsic encoder of Table I (pi^enc)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torchrl_atr.modules.symmetry import halves_swapped, make_mlp
 
 
 class IntrinsicEncoder(nn.Module):
-    """Encode the intrinsic parameters into the latent z (Table I, ``x_int -> [128, 64] -> z``).
+    """Network from the intrinsic parameters to the latent z (Table I, ``x_int -> [128, 64] -> z``).
 
     ELU between layers, no activation on the output. The input is already scaled to [-1, 1], so it is not
     normalised.
@@ -22,7 +22,7 @@ class IntrinsicEncoder(nn.Module):
         reflection (Tensor, optional): of the input, (in_features, in_features): the latent of the robot's mirror image
             is then the latent with its halves swapped.
 
-    Examples:
+    Example:
         >>> import torch
         >>> IntrinsicEncoder(34)(torch.zeros(2, 34)).shape
         torch.Size([2, 16])

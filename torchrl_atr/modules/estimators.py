@@ -1,4 +1,4 @@
-"""State estimators: what a history of observations says about what the robot cannot sense.
+"""State estimators, which infer unobserved quantities from a history of observations.
 
 An estimator is ``factory(history_shape=(H, D), out_features, **kw) -> nn.Module`` whose module maps a history
 ``(*B, H, D)``, oldest first, to ``(*B, out_features)``. Two are registered here: ``"cnn_gru"`` (Table I) and
@@ -39,7 +39,7 @@ def register_estimator(name: str, factory: EstimatorFactory | None = None) -> An
         ValueError: if the name is empty or is taken.
         TypeError: if the factory is not callable.
 
-    Examples:
+    Example:
         >>> from torch import nn
         >>> @register_estimator("newest_only")
         ... class NewestOnly(nn.Module):
@@ -65,10 +65,10 @@ def get_estimator(name: str) -> EstimatorFactory:
     """Return the factory registered under ``name``.
 
     Raises:
-        UnknownNameError: (a ``ValueError`` and a ``KeyError``) if there is none; the message lists those
-            there are.
+        UnknownNameError: (a ``ValueError`` and a ``KeyError``) for an unknown name; the message lists the
+            registered ones.
 
-    Examples:
+    Example:
         >>> get_estimator("cnn_gru").__name__
         'CNNGRUEstimator'
     """
@@ -76,20 +76,20 @@ def get_estimator(name: str) -> EstimatorFactory:
 
 
 class EstimatorError(UserError, AssertionError):
-    """An estimator that cannot be built or does not keep the contract; the message says what to do about it."""
+    """Error of an estimator that cannot be built or fails a check; the message names the remedy."""
 
 
 def build_estimator(factory: EstimatorFactory, **arguments: Any) -> nn.Module:
-    """Call a factory, and say what is wrong if that fails.
+    """Build an estimator by its factory, with a clear error if that fails.
 
     Args:
         factory (callable): see :func:`register_estimator`.
-        **arguments: ``history_shape``, ``out_features`` and what else it takes.
+        **arguments: ``history_shape``, ``out_features`` and the factory's others.
 
     Raises:
-        EstimatorError: if the factory raises an error, or returns no module.
+        EstimatorError: if the factory raises an error, or does not return a module.
 
-    Examples:
+    Example:
         >>> build_estimator(get_estimator("mlp"), history_shape=(4, 5), out_features=3).history_shape
         (4, 5)
     """
@@ -110,7 +110,7 @@ def build_estimator(factory: EstimatorFactory, **arguments: Any) -> nn.Module:
 def available_estimators() -> tuple[str, ...]:
     """Return the registered names.
 
-    Examples:
+    Example:
         >>> {"cnn_gru", "mlp"} <= set(available_estimators())
         True
     """
@@ -126,7 +126,7 @@ def _check_history(history: Tensor, history_shape: tuple[int, int]) -> None:
 
 
 class TimeConvolution(nn.Linear):
-    """A convolution over time as a linear map of overlapping windows: what ``nn.Conv1d`` does, faster where T is small.
+    """Convolution over time as a linear map of overlapping windows: an ``nn.Conv1d`` that is faster for small T.
 
     Args:
         in_features (int): of every time step.
@@ -134,7 +134,7 @@ class TimeConvolution(nn.Linear):
         kernel (int): time steps in a window.
         stride (int): time steps from one window to the next. Defaults to 1.
 
-    Examples:
+    Example:
         >>> TimeConvolution(3, 8, kernel=4, stride=2)(torch.zeros(5, 10, 3)).shape
         torch.Size([5, 4, 8])
     """
@@ -150,7 +150,7 @@ class TimeConvolution(nn.Linear):
 
 @register_estimator("cnn_gru")
 class CNNGRUEstimator(nn.Module):
-    """CNN-GRU + MLP estimator of Table I (reading A26), stateless on the history window.
+    """CNN-GRU + MLP estimator of Table I (question A26), stateless on the history window.
 
     Two convolutions over time shorten the window, a GRU reads the few steps that are left, an MLP maps its
     last state to the estimate. The first convolution has stride ``round(H / 5)`` and twice that as kernel:
@@ -164,7 +164,7 @@ class CNNGRUEstimator(nn.Module):
         gru_features (int): width of the GRU. Defaults to 64.
         mlp_cells (sequence of int): hidden widths of the head. Defaults to ``(128,)``.
 
-    Examples:
+    Example:
         >>> import torch
         >>> CNNGRUEstimator((10, 46), 16)(torch.zeros(2, 3, 10, 46)).shape
         torch.Size([2, 3, 16])
@@ -214,7 +214,7 @@ class MLPEstimator(nn.Module):
         out_features (int): size of the estimate.
         cells (sequence of int): hidden widths. Defaults to ``(256, 128)``.
 
-    Examples:
+    Example:
         >>> import torch
         >>> MLPEstimator((10, 46), 16)(torch.zeros(4, 10, 46)).shape
         torch.Size([4, 16])
@@ -233,7 +233,7 @@ class MLPEstimator(nn.Module):
 
 
 class NormalizedEstimator(nn.Module):
-    """Run an estimator between normalisers: raw history in, estimate in the units of its target out.
+    """Estimator between normalisers: from a raw history to an estimate in the units of its target.
 
     Args:
         net (nn.Module): maps (*B, H, D) to (*B, out_features), both normalised; (*B, H, D + S) with side inputs of S
@@ -244,7 +244,7 @@ class NormalizedEstimator(nn.Module):
         side_norms (sequence of RunningNormalizer): of side inputs, one for each, which are appended to every step of
             the history, so that any estimator of histories can read them. Defaults to none.
 
-    Examples:
+    Example:
         >>> import torch
         >>> estimator = NormalizedEstimator(get_estimator("mlp")((4, 5), 3), RunningNormalizer(5))
         >>> estimator(torch.zeros(2, 4, 5)).shape

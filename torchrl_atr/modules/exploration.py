@@ -1,4 +1,4 @@
-"""How far, and along which directions, a Gaussian policy explores (theta_std)."""
+"""Standard deviations and directions of a Gaussian policy's exploration (theta_std)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 
 class Exploration(nn.Module):
-    """Learn one standard deviation for each direction of exploration, never below a floor (the paper's theta_std).
+    """Learned standard deviation for each direction of exploration, with a floor (the paper's theta_std).
 
     It depends on no input and changes no mean action. ``std = min_std + softplus(raw)``: unlike a clamp, which has
     no gradient below the floor and so keeps an action there for good, softplus lets exploration grow again from any
@@ -26,14 +26,14 @@ class Exploration(nn.Module):
             :func:`~torchrl_atr.modules.hadamard_leg_basis`. None, the default, explores each action by itself.
 
     Attributes:
-        raw (Parameter): what is learned, (A,).
+        raw (Parameter): the learned parameters, (A,).
         basis (Tensor or None): the directions, in the default dtype.
 
     Raises:
         ValueError: unless ``0 <= min_std < init_std``, for another number of values than one or ``actions``, and for a
             basis whose columns are not orthonormal.
 
-    Examples:
+    Example:
         >>> exploration = Exploration(2, init_std=0.3)
         >>> exploration.std().tolist()
         [0.30000001192092896, 0.30000001192092896]
@@ -89,7 +89,7 @@ def hadamard_leg_basis(joints: int = 3) -> Tensor:
 
     The columns are the four Hadamard patterns over the legs (common; then two legs against two, in three ways) for each
     joint of a leg. The first ``joints`` columns move all legs alike: they lean, shift and lift the body, which
-    is what tilts a board; independent noise in twelve joints mostly strains the legs against each other.
+    tilts a board; independent noise in twelve joints mostly makes the legs act against each other.
 
     Args:
         joints (int): joints of a leg; the actions are listed leg by leg, the legs in any order.
@@ -97,7 +97,7 @@ def hadamard_leg_basis(joints: int = 3) -> Tensor:
     Returns:
         Tensor: (4 * joints, 4 * joints), orthonormal columns.
 
-    Examples:
+    Example:
         >>> hadamard_leg_basis(1)[:, 0].tolist()
         [0.5, 0.5, 0.5, 0.5]
     """
@@ -115,7 +115,7 @@ def check_basis(basis: Tensor, actions: int) -> Tensor:
     Raises:
         ValueError: if the shape is another one, or the columns are not orthonormal.
 
-    Examples:
+    Example:
         >>> check_basis(torch.eye(2), 2).shape
         torch.Size([2, 2])
     """

@@ -1,4 +1,4 @@
-"""The TensorDict keys that the networks read and write."""
+"""TensorDict keys that the networks read and write."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from tensordict import NestedKey
 
 @dataclass(frozen=True)
 class NetworkKeys:
-    """Names of the entries that networks and loss meet on; rename any of them for an env with its own names.
+    """Names of the entries that networks and loss share; rename any of them for an env with its own names.
 
-    ``dead_reckoned_velocity`` and ``tracking_forecast`` (what tracking will be like) are read only where
-    :func:`~torchrl_atr.modules.make_networks` is told so: ``estimator_inputs=[keys.dead_reckoned_velocity]`` and
+    ``dead_reckoned_velocity`` and ``tracking_forecast`` (predicted tracking) are read only if they are inputs in
+    :func:`~torchrl_atr.modules.make_networks`: ``estimator_inputs=[keys.dead_reckoned_velocity]`` and
     ``critic_inputs=[keys.tracking_forecast]``.
 
-    Examples:
+    Example:
         >>> NetworkKeys(observation=("agent", "obs")).observation
         ('agent', 'obs')
     """
@@ -36,9 +36,9 @@ class NetworkKeys:
     state_value: NestedKey = "state_value"
 
     def for_loss(self) -> dict[str, NestedKey]:
-        """The same entries by the names that ``ROAClipPPOLoss.set_keys`` has for them.
+        """Return the same entries by the names that ``ROAClipPPOLoss.set_keys`` has for them.
 
-        Examples:
+        Example:
             >>> NetworkKeys(extrinsic="truth").for_loss()["extrinsic"]
             'truth'
         """

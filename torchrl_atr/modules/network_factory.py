@@ -1,4 +1,4 @@
-"""All networks of RL-ATR for an env, sized by its specs."""
+"""Factory of all networks of RL-ATR for an env, sized by its specs."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def make_networks(
 
     Args:
         observation_spec (Composite): must hold the observation (*B, O), the history (*B, H, O), both privileged
-            entries, and what ``estimator_inputs`` and ``critic_inputs`` name, (*B, D) each; leading batch dimensions
+            entries, and those of ``estimator_inputs`` and ``critic_inputs``, (*B, D) each; leading batch dimensions
             are ignored. An entry that no argument names is not read.
         action_spec (TensorSpec): a leaf of shape (*B, A), or a Composite with the action key.
         estimator (str): a registered name (:func:`torchrl_atr.modules.available_estimators`).
@@ -62,10 +62,10 @@ def make_networks(
         exploration (Exploration, optional): of as many actions; it becomes part of the networks, in their dtype.
             None, the default, is ``Exploration(A)``.
         critic_cells (sequence of int): hidden widths of the critic.
-        privileged_critic (bool): whether the critic reads both privileged entries beside the observation (reading A20).
+        privileged_critic (bool): whether the critic reads both privileged entries, too (question A20).
         critic_inputs (sequence of NestedKey): entries that the critic reads in addition, such as
             ``[("privileged", "tracking_forecast")]``. Defaults to none.
-        reflections (mapping of NestedKey to Tensor, optional): how each entry's mirror image is made, (D, D) for the
+        reflections (mapping of NestedKey to Tensor, optional): reflection matrix by entry, (D, D) for the
             observation, the privileged entries, the further inputs and the action, such as
             :attr:`~torchrl_atr.envs.RidingEnv.reflections`. Encoder, actor and critic are then symmetric by
             construction: the mirrored robot acts mirrored. The estimators are not, so that any can be registered.
@@ -77,9 +77,9 @@ def make_networks(
     Raises:
         KeyError: if a spec or the reflections lack an entry. ValueError: if the history does not match the
             observation, the estimator is unknown, the exploration is of another number of actions, or a reflection is
-            none. EstimatorError: if the estimator's factory fails.
+            invalid. EstimatorError: if the estimator's factory fails.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Composite, Unbounded
         >>> spec = Composite(
         ...     observation=Unbounded((5,)),
@@ -173,7 +173,7 @@ def _exploration_of(actions: int, given: Exploration | None) -> Exploration:
 
 
 def _reflection(reflections: Mapping[NestedKey, Tensor] | None, key: NestedKey) -> Tensor | None:
-    """Return the reflection of an entry, if there are any."""
+    """Return the reflection of an entry; None without reflections."""
     if reflections is None:
         return None
     if key not in reflections:

@@ -1,4 +1,4 @@
-"""All networks of RL-ATR around one set of parameters, and the policies that are views of them."""
+"""All networks of RL-ATR with one set of parameters, and the policies that are views of them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from torchrl_atr.modules.normalization import RunningNormalizer
 
 
 class RidingNetworks(nn.Module):
-    """Hold the five networks of Table I and the critic; every policy made here shares their parameters.
+    """Container of the five networks of Table I and the critic; all its policies share their parameters.
 
     Build it with :func:`~torchrl_atr.modules.make_networks`. The TensorDictModules it returns are views: making one
     costs nothing and training one trains the networks.
@@ -32,17 +32,17 @@ class RidingNetworks(nn.Module):
         encoder (nn.Module): intrinsic parameters to latent.
         intrinsic_estimator, extrinsic_estimator (NormalizedEstimator): history to latent, to extrinsic state.
         backbone (ActorBackbone): the actor's mean action.
-        exploration (Exploration): how far the actor explores.
+        exploration (Exploration): the actor's standard deviations.
         critic (AsymmetricCritic): the value.
-        estimator_inputs (sequence of NestedKey): what the extrinsic estimator reads beside the history, one for each of
+        estimator_inputs (sequence of NestedKey): inputs of the extrinsic estimator beside the history, one for each of
             its ``side_norms``.
-        critic_inputs (sequence of NestedKey): what the critic reads last, one for each of its ``input_norms``.
+        critic_inputs (sequence of NestedKey): last inputs of the critic, one for each of its ``input_norms``.
         keys (NetworkKeys): names of the other entries.
 
     Attributes:
-        command_range (CommandRange or None): what the deployed policy is told of a command; None, as at first, for all.
+        command_range (CommandRange or None): range to which the deployed policy's commands are clipped; initially None.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Composite, Unbounded
         >>> from torchrl_atr.modules import make_networks
         >>> privileged = Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,)))
@@ -115,7 +115,7 @@ class RidingNetworks(nn.Module):
         return self._actor(source, *front)
 
     def rollout_policy(self, source: Source = "privileged", student_fraction: float = 0.5) -> ProbabilisticActor:
-        """Return the actor that collects; it computes and records what :meth:`training_actor` reads.
+        """Return the actor for collection; it computes and records the inputs of :meth:`training_actor`.
 
         Args:
             source (str): ``privileged``, ``estimated`` or ``mixed``.
@@ -131,9 +131,9 @@ class RidingNetworks(nn.Module):
         return self._actor(source, self.encoder_module, *estimators, assign)
 
     def deployed_policy(self) -> TensorDictModuleBase:
-        """Return the policy of the real robot: it reads history, observation and ``estimator_inputs``, nothing else.
+        """Return the policy for deployment: it reads history, observation and ``estimator_inputs``, nothing else.
 
-        With a :attr:`command_range` it follows commands beyond that as their clipped ones.
+        With a :attr:`command_range` it clips commands to that.
 
         It shares the networks and their mode: call ``eval()`` on networks that were trained with dropout or batch
         statistics before they are deployed. Those of :func:`torchrl_atr.training.load_run` and
@@ -166,12 +166,12 @@ class RidingNetworks(nn.Module):
             norm.update(value)
 
     def policy_parameters(self) -> Iterator[nn.Parameter]:
-        """Iterate over what PPO and the ROA term train: encoder, actor, exploration and critic."""
+        """Iterate over the parameters that PPO and the ROA term train: encoder, actor, exploration and critic."""
         trained = (self.encoder, self.backbone, self.exploration, self.critic)
         return chain.from_iterable(network.parameters() for network in trained)
 
     def estimator_parameters(self) -> Iterator[nn.Parameter]:
-        """Iterate over what the estimator losses train: both estimators."""
+        """Iterate over the parameters that the estimator losses train: both estimators."""
         return chain(self.intrinsic_estimator.parameters(), self.extrinsic_estimator.parameters())
 
     def _actor(self, source: Source, *front: Any) -> ProbabilisticActor:

@@ -1,4 +1,4 @@
-"""Running normalisation: a module inside the networks, so it is saved, exported and frozen with them."""
+"""Running normalisation as a module inside the networks, saved, exported and frozen with them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torchrl_atr.modules.symmetry import check_reflection
 
 
 class RunningNormalizer(nn.Module):
-    """Normalise the trailing dimensions by running statistics that change only in :meth:`update`.
+    """Normaliser of the trailing dimensions by running statistics that change only in :meth:`update`.
 
     ``forward`` never updates, so a rollout and every epoch on its batch see the same statistics and the
     importance ratio of the first minibatch is one. Updates are in place: every module and every functional
@@ -32,7 +32,7 @@ class RunningNormalizer(nn.Module):
     Raises:
         ValueError: if ``clip`` or ``eps`` is not positive, or a tensor does not end with ``shape``.
 
-    Examples:
+    Example:
         >>> import torch
         >>> norm = RunningNormalizer(1)
         >>> norm.update(torch.tensor([[1.0], [3.0]]))
@@ -68,7 +68,7 @@ class RunningNormalizer(nn.Module):
 
     @property
     def std(self) -> Tensor:
-        """``sqrt(var + eps)``, shape ``shape``, in the units of the data."""
+        """Standard deviation ``sqrt(var + eps)``, shape ``shape``, in the units of the data."""
         return (self.var + self.eps).sqrt()
 
     def forward(self, x: Tensor) -> Tensor:
@@ -90,7 +90,7 @@ class RunningNormalizer(nn.Module):
         """
         self._check(x)
         rows = x.detach().reshape(-1, max(self.shape.numel(), 1)).to(torch.float64)
-        finite = rows.isfinite().all(-1, keepdim=True)  # a mask, not an index: nothing waits for a GPU
+        finite = rows.isfinite().all(-1, keepdim=True)  # a mask, not an index: no GPU synchronisation
         samples = finite.sum()
         number = samples.clamp(min=1)
         batch_mean = rows.where(finite, 0.0).sum(0) / number

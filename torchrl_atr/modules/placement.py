@@ -1,4 +1,4 @@
-"""A policy on a GPU for an env on the CPU: what crosses between them at every step."""
+"""Bridge between a policy on a GPU and an env on the CPU."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from torchrl_atr._compilation import CudaGraph
 
 
 class DeviceBridge(TensorDictModuleBase):
-    """Runs a module on its own device for data on the CPU, e.g. a policy for TorchRL's ``Collector``.
+    """Wrapper that runs a module on its own device for data on the CPU, e.g. a policy for TorchRL's ``Collector``.
 
-    Only what the module reads goes there, from pinned memory and without waiting; only what it writes comes back, which
-    is waited for. A collector that is told ``policy_device`` sends all of a step there and back, and takes a module's
-    parameters along: tell it none, or give it ``forward`` alone.
+    Only the module's inputs are copied there, from pinned memory and asynchronously; only its outputs are copied back,
+    synchronously. A collector with a ``policy_device`` copies all of a step there and back, and moves the module's
+    parameters: give it no ``policy_device``, or ``forward`` alone.
 
     Args:
         module (TensorDictModuleBase): its parameters are on ``device``.
         device (torch.device or str): where it runs.
         captured (bool): as a CUDA graph, for batches of one shape and one exploration type. Defaults to False.
 
-    Examples:
+    Example:
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule
         >>> policy = DeviceBridge(TensorDictModule(torch.nn.Linear(3, 2), ["observation"], ["action"]), "cpu")
@@ -41,7 +41,7 @@ class DeviceBridge(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the module's outputs into ``tensordict``, on the CPU, and return it."""
         outputs = self._run(self._sent(tensordict.select(*self.in_keys)))
-        return tensordict.update(outputs.to(torch.device("cpu")))  # waits
+        return tensordict.update(outputs.to(torch.device("cpu")))  # synchronous
 
     def _written(self, inputs: TensorDictBase) -> TensorDictBase:
         return self.module(inputs).select(*self.out_keys)
@@ -51,5 +51,5 @@ class DeviceBridge(TensorDictModuleBase):
             return inputs.to(self.device)
         if self._pinned is None or self._pinned.shape != inputs.shape:
             self._pinned = inputs.pin_memory()
-        # the copy before is over: its step's outputs were waited for
+        # the previous copy is complete: its step's outputs were synchronised
         return self._pinned.update_(inputs).to(self.device, non_blocking=True)

@@ -42,7 +42,7 @@ def entry_shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
     Raises:
         KeyError: if there is no such entry. ValueError: if it has fewer dimensions.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Unbounded
         >>> entry_shape(Composite(history=Unbounded((8, 4, 5))), "history", 2)
         (4, 5)
@@ -54,7 +54,7 @@ def entry_shape(spec: TensorSpec, key: NestedKey, ndim: int) -> tuple[int, ...]:
 
 
 def input_sizes(spec: Composite, argument: str, inputs: Sequence[NestedKey]) -> list[int]:
-    """Return the sizes of the entries that an argument names.
+    """Return the sizes of the entries named by an argument.
 
     Args:
         spec (Composite): of an env.
@@ -62,10 +62,10 @@ def input_sizes(spec: Composite, argument: str, inputs: Sequence[NestedKey]) -> 
         inputs (sequence of NestedKey): its value.
 
     Raises:
-        InputError: if the value is no list of keys.
+        InputError: if the value is not a list of keys.
         KeyError: if the spec has no such entry.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Unbounded
         >>> input_sizes(Composite(wind=Unbounded((8, 3))), "estimator_inputs", ["wind"])
         [3]
@@ -86,18 +86,18 @@ def estimator_sizes(
     keys: NetworkKeys | None = None,
     estimator_inputs: Sequence[NestedKey] = (),
 ) -> dict[str, tuple[tuple[int, int], int]]:
-    """Read from an env's specs what the two estimators map: by name, the history's shape and the estimate's size.
+    """Return history shape and estimate size of the two estimators, by name, from an env's specs.
 
     Args:
         observation_spec (Composite): see :func:`make_networks`.
         latent_features (int): size of z. Defaults to 16.
         keys (NetworkKeys, optional): names of the entries, if the env has its own.
-        estimator_inputs (sequence of NestedKey): what the extrinsic one reads beside the history. Defaults to nothing.
+        estimator_inputs (sequence of NestedKey): inputs of the extrinsic one beside the history. Defaults to none.
 
     Raises:
         KeyError: if the spec lacks an entry.
 
-    Examples:
+    Example:
         >>> from torchrl.data import Composite, Unbounded
         >>> spec = Composite(
         ...     observation=Unbounded((5,)),
@@ -118,9 +118,9 @@ def check_widths(**cells: Sequence[int]) -> None:
     """Check hidden widths, by the arguments' names.
 
     Raises:
-        InputError: for what is no list of whole numbers, 1 or more.
+        InputError: for a value that is not a list of whole numbers, 1 or more.
 
-    Examples:
+    Example:
         >>> check_widths(actor_cells=(512, 256))
     """
     for name, widths in cells.items():

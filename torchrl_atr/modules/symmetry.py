@@ -1,7 +1,7 @@
 """Networks that are left-right symmetric by construction.
 
-A robot and its mirror image are the same robot: what is right for one is right, reflected, for the other. A network
-whose weights are tied accordingly cannot lean left better than right, and learns from every step about both.
+A robot and its mirror image obey the same physics: the reflected action of one is optimal for the other. A network
+whose weights are tied accordingly acts alike to the left and to the right, and learns from every step about both.
 
 A reflection of an entry is a signed permutation matrix R, (D, D) with R R = 1: the mirror image of x is R x.
 """
@@ -18,12 +18,12 @@ from torchrl.modules import MLP
 
 
 def check_reflection(reflection: Tensor, features: int, name: str = "a reflection") -> Tensor:
-    """Return ``reflection`` if it is one of ``features`` components, as (D, D) in the default dtype.
+    """Return ``reflection`` if it is a valid one of ``features`` components, as (D, D) in the default dtype.
 
     Raises:
         ValueError: if it is not a signed permutation that undoes itself.
 
-    Examples:
+    Example:
         >>> check_reflection(torch.tensor([[0, 1], [1, 0]]), 2)
         tensor([[0., 1.],
                 [1., 0.]])
@@ -41,12 +41,12 @@ def check_reflection(reflection: Tensor, features: int, name: str = "a reflectio
 
 
 def halves_swapped(features: int) -> Tensor:
-    """The reflection of hidden units of which every left one has a right one, (features, features).
+    """Return the reflection of hidden units in left and right halves, (features, features).
 
     Raises:
         ValueError: for an odd number.
 
-    Examples:
+    Example:
         >>> halves_swapped(2)
         tensor([[0., 1.],
                 [1., 0.]])
@@ -57,7 +57,7 @@ def halves_swapped(features: int) -> Tensor:
 
 
 class SymmetricLinear(nn.Module):
-    """A linear layer with f(R x) = S f(x) for reflections R of its inputs and S of its outputs.
+    """Linear layer with f(R x) = S f(x) for reflections R of its inputs and S of its outputs.
 
     It maps the even part of its inputs, x + R x, to the even part of its outputs and the odd part, x - R x, to the odd
     one: two small layers with half the weights and, between hidden units, half the products of a plain layer.
@@ -67,9 +67,9 @@ class SymmetricLinear(nn.Module):
         outputs (Tensor): S, (out_features, out_features).
 
     Raises:
-        ValueError: if either is no reflection.
+        ValueError: if either is not a reflection.
 
-    Examples:
+    Example:
         >>> layer = SymmetricLinear(torch.diag(torch.tensor([1.0, -1.0])), halves_swapped(4))
         >>> x = torch.tensor([2.0, 3.0])
         >>> bool(torch.allclose(layer(x * torch.tensor([1.0, -1.0])), layer(x).roll(2), atol=1e-6))
@@ -84,7 +84,7 @@ class SymmetricLinear(nn.Module):
         self.odd = self._block(self.inputs.num_odd, self.outputs.num_odd, bias=False)  # a constant has no odd part
 
     def _block(self, inputs: int, outputs: int, bias: bool) -> nn.Linear | None:
-        """A layer between parts of one parity, None where there is nothing to map, as large at first as a plain one."""
+        """Return a layer between parts of one parity, initialised like a plain one; None if a part is empty."""
         if not inputs or not outputs:
             return None
         layer = nn.Linear(inputs, outputs, bias)
@@ -101,7 +101,7 @@ class SymmetricLinear(nn.Module):
         return self.outputs.join(*parts)
 
     def extra_repr(self) -> str:
-        """As ``nn.Linear`` shows itself."""
+        """Return the sizes for ``repr``, in the format of ``nn.Linear``."""
         return f"in_features={self.in_features}, out_features={self.out_features}"
 
 
@@ -110,10 +110,10 @@ def _apply(block: nn.Linear | None, x: Tensor, features: int) -> Tensor:
 
 
 class _Halves(nn.Module):
-    """Even and odd parts of units of which every left one, in the first half, has a right one in the second."""
+    """Even and odd parts of units whose left ones, in the first half, have right partners in the second."""
 
     gain = math.sqrt(2.0)
-    """How much larger both parts are than what they are made of."""
+    """Scale of both parts relative to the units."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -128,7 +128,7 @@ class _Halves(nn.Module):
 
 
 class _Parity(nn.Module):
-    """Even and odd parts under any reflection, by an orthonormal basis of what it keeps and of what it negates."""
+    """Even and odd parts under any reflection, by orthonormal bases of its eigenspaces."""
 
     gain = 1.0
     basis: Tensor
@@ -136,10 +136,10 @@ class _Parity(nn.Module):
     def __init__(self, reflection: Tensor) -> None:
         super().__init__()
         one = torch.eye(len(reflection))
-        first = reflection.abs().argmax(-1) >= torch.arange(len(reflection))  # of a pair that changes places
+        first = reflection.abs().argmax(-1) >= torch.arange(len(reflection))  # of a swapped pair
         even, odd = (_unit_columns((one + sign * reflection)[:, first]) for sign in (1, -1))
         self.num_even, self.num_odd = even.shape[1], odd.shape[1]
-        # saved with the weights, which mean nothing in another basis
+        # saved with the weights, which depend on the basis
         self.register_buffer("basis", torch.cat([even, odd], 1))
 
     def split(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -151,7 +151,7 @@ class _Parity(nn.Module):
 
 
 def _unit_columns(matrix: Tensor) -> Tensor:
-    """The columns of a matrix that are not zero, at unit length."""
+    """Return the non-zero columns of a matrix, at unit length."""
     length = matrix.norm(dim=0)
     return matrix[:, length > 0] / length[length > 0]
 
@@ -163,12 +163,12 @@ def _parity(reflection: Tensor) -> _Halves | _Parity:
 
 
 def join_reflections(*parts: Tensor | None) -> Tensor:
-    """The reflection of entries that stand side by side, (D, D) for D components in all.
+    """Return the reflection of concatenated entries, (D, D) for D components in all.
 
     Raises:
-        ValueError: if one is None: the mirror image of a part is not known.
+        ValueError: if one is None: the reflection of a part is unknown.
 
-    Examples:
+    Example:
         >>> join_reflections(torch.eye(1), -torch.eye(1)).diagonal()
         tensor([ 1., -1.])
     """
@@ -181,9 +181,9 @@ def join_reflections(*parts: Tensor | None) -> Tensor:
 def make_mlp(
     in_features: int, out_features: int, cells: Sequence[int], reflections: tuple[Tensor, Tensor] | None
 ) -> nn.Module:
-    """An MLP with ELU between its layers: TorchRL's, or a symmetric one where inputs and outputs have reflections.
+    """Return an MLP with ELU between its layers: TorchRL's, or a symmetric one if there are reflections.
 
-    Examples:
+    Example:
         >>> make_mlp(3, 1, [8], None)(torch.zeros(2, 3)).shape
         torch.Size([2, 1])
     """
@@ -193,7 +193,7 @@ def make_mlp(
 
 
 def symmetric_mlp(inputs: Tensor, outputs: Tensor, cells: Sequence[int]) -> nn.Sequential:
-    """An MLP with ELU between its layers that commutes with reflections.
+    """Return an MLP with ELU between its layers that commutes with reflections.
 
     Args:
         inputs (Tensor): of its inputs, (D, D).
@@ -201,9 +201,9 @@ def symmetric_mlp(inputs: Tensor, outputs: Tensor, cells: Sequence[int]) -> nn.S
         cells (sequence of int): hidden widths, even, one at least.
 
     Raises:
-        ValueError: for an odd width, for none, or a matrix that is no reflection.
+        ValueError: for an odd width, for none, or a matrix that is not a reflection.
 
-    Examples:
+    Example:
         >>> symmetric_mlp(torch.eye(3), torch.eye(1), [8, 4])(torch.zeros(2, 3)).shape
         torch.Size([2, 1])
     """

@@ -1,4 +1,4 @@
-"""What exists: robots, what they stand on, and the scene that joins them."""
+"""Models: robots, their supports, and the scene that joins them."""
 
 from torchrl_atr.envs.models.boards import Transporter, TransporterLayout
 from torchrl_atr.envs.models.loading import load_robot

@@ -1,4 +1,4 @@
-"""A transporter as a support: planar joints that the drive law moves, and boards that the rider tilts."""
+"""Transporter as a support: planar joints that the drive law moves, and boards that the robot tilts."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ PIVOT = "platform"
 """Body whose frame is P_planar."""
 PLANAR_JOINTS = ("platform_x", "platform_y", "platform_yaw")
 _PIVOT_MASS = 1e-9
-"""MuJoCo refuses a moving body without mass; the armature of its joints is what counts."""
+"""Mass and inertia of the pivot: MuJoCo rejects a moving body without mass; its joints' armature dominates."""
 _ARMATURE_RATIO = 200.0
-# The planar joints carry an armature of 200 robot masses: even wild kicks (random actions of standard
-# deviation 1) move the prescribed motion by under 1 mm/s, and the solver, whose tolerance scales with the
-# trace of the inertia matrix, still converges.
+# The planar joints have an armature of 200 robot masses: even large reaction forces (random actions of
+# standard deviation 1) change the prescribed speed by less than 1 mm/s, and the solver, whose tolerance
+# scales with the trace of the inertia matrix, still converges.
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class TransporterLayout:
     Attributes:
         planar_qpos, planar_dof: of x, y and yaw, (3,).
         tilt_qpos, tilt_dof, tilt_joints: of the hinges in the design's order, (hinges,).
-        tilt_gains: which of Table II's two gains each hinge has, (hinges,).
+        tilt_gains: index of each hinge's gain among Table II's two, (hinges,).
         board_bodies, board_geoms: of the boards, (boards,).
     """
 
@@ -50,7 +50,7 @@ class TransporterLayout:
 
 @dataclass(frozen=True)
 class Transporter(Support):
-    """A transporter as what a robot stands on; see :class:`~torchrl_atr.envs.models.support.Support`.
+    """Transporter as a support; see :class:`~torchrl_atr.envs.models.support.Support`.
 
     Attributes:
         spec: its design and measures.
@@ -73,7 +73,7 @@ class Transporter(Support):
 
     @property
     def name(self) -> str:
-        """The spec's."""
+        """Name of the spec."""
         return self.spec.name
 
     @property
@@ -88,12 +88,12 @@ class Transporter(Support):
 
     @property
     def geoms(self) -> tuple[str, ...]:
-        """The boards'."""
+        """Names of the boards' geoms."""
         return tuple(board.name for board in self.spec.design.boards)
 
     @property
     def bodies(self) -> tuple[str, ...]:
-        """The pivot and, where there are several, the boards."""
+        """Names of the pivot and, where there are several, the boards."""
         boards = self.spec.design.boards
         return (PIVOT,) if len(boards) == 1 else (PIVOT, *(board.name for board in boards))
 
@@ -108,7 +108,7 @@ class Transporter(Support):
             self._add_board(pivot, boards[0])
             return
         pivot.mass, pivot.inertia, pivot.explicitinertial = _PIVOT_MASS, [_PIVOT_MASS] * 3, True
-        pivot.ipos = pivot.pos  # what MuJoCo takes where nothing is said; it saves an inertia with a position alone
+        pivot.ipos = pivot.pos  # MuJoCo's default, written out: it saves an inertia only with a position
         for board in boards:
             body = pivot.add_body(name=board.name, pos=[0, board.offset * self.spec.size[1], 0])
             self._add_board(body, board)
@@ -146,7 +146,7 @@ class Transporter(Support):
         )
 
     def describe(self) -> dict[str, Any]:
-        """Return the spec's fields but for its name."""
+        """Return the spec's fields except its name."""
         facts = dataclasses.asdict(self.spec)
         del facts["name"]
         return facts

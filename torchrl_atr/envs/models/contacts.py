@@ -1,4 +1,4 @@
-"""How contacts are solved, so that feet which do not slide stay where they are."""
+"""Solver options of contacts, which keep loaded feet from creeping."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import mujoco
 
 @dataclass(frozen=True)
 class ContactModel:
-    """MuJoCo's options that decide how far a loaded foot creeps within its friction cone.
+    """Options of MuJoCo that determine the creep of a loaded foot within its friction cone.
 
     MuJoCo's friction is soft: a foot under a steady tangential force moves at a steady speed. ``impratio`` divides
-    that speed; no-slip iterations, which follow the solver's, remove it. These are of full effect with an elliptic cone
-    alone: a pyramidal one bounds what each of its two axes may take by how the solver happened to share the load
-    between them. It also lets a foot that is pushed diagonally slide at 1/sqrt(2) of its friction; an elliptic one
-    holds up to μ times the load in every direction.
+    that speed; no-slip iterations, which follow the solver's, remove it. They are fully effective with an elliptic cone
+    only: a pyramidal one bounds the force along each of its two axes by the solver's split of the load between
+    them. It also lets a foot that is pushed diagonally slide at 1/sqrt(2) of its friction; an elliptic one holds up
+    to μ times the load in every direction.
 
     Attributes:
         cone: of friction, elliptic or pyramidal.
-        impratio: how much stiffer friction is than the normal force. The solver takes longer the higher it is, and from
-            50 on it fails.
-        noslip_iterations: passes that remove what is left of the creep. An engine that has none, as on a GPU, is better
-            off with an ``impratio`` of 10.
+        impratio: ratio of the stiffness of friction to that of the normal force. The solver takes longer the higher it
+            is, and from 50 on it fails.
+        noslip_iterations: passes that remove the remaining creep. An engine without them, as on a GPU, should use an
+            ``impratio`` of 10.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene
@@ -42,4 +42,4 @@ class ContactModel:
 
 
 CONTACTS = ContactModel()
-"""Every scene's: of the models of ``benchmarks/contact_creep.py`` the one that holds all robots at the least cost."""
+"""Contact model of all scenes: the cheapest of ``benchmarks/contact_creep.py`` that holds all robots."""

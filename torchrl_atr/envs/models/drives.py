@@ -1,4 +1,4 @@
-"""How tilt drives a transporter: the propulsion of Eqs. 1, 3 and 7, and what a design of one's own may put instead."""
+"""Propulsion of a transporter by tilt, Eqs. 1, 3 and 7, which a custom design may replace."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from torchrl_atr.envs.models.transporter import TransporterSpec
 
 Drive = Callable[[Tensor, Tensor, "TransporterSpec", Interpretation], Tensor]
-"""From tilt (N, 2), speeds (N, 2), transporter and readings to propulsion (N, 2), float64; see :func:`tilt_drive`."""
+"""Function of tilt (N, 2), speeds (N, 2), transporter and readings that returns the propulsion (N, 2), float64."""
 
 
 def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readings: Interpretation) -> Tensor:
@@ -23,7 +23,7 @@ def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readi
 
     Args:
         tilt: forward tilt θ_y (or θ_avg) and steering tilt θ_x (or θ_dif), rad, (N, 2).
-        speeds: v_f, m/s, and ω_z, rad/s, (N, 2); not read here.
+        speeds: v_f, m/s, and ω_z, rad/s, (N, 2); not used.
         transporter: its drive limits.
         readings: ``steering_smoothing`` (A11).
 

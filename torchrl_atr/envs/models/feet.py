@@ -1,4 +1,4 @@
-"""Find the geoms of a robot's feet: those that its spec names, and those beside them."""
+"""Geoms of a robot's feet: those that its spec names, and adjacent ones."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from torchrl_atr.envs.models.robot import RobotSpec
 
 FOOT_SHARE = 0.75
-"""A colliding geom is part of the foot beyond this share of the way from its leg's last joint to the named geom."""
+"""Share of the way from a leg's last joint to the named geom beyond which a colliding geom is part of the foot."""
 
 
 def find_feet(model: mujoco.MjModel, robot: RobotSpec) -> tuple[tuple[int, ...], ...]:
-    """Find the geoms of each foot: they bear load together, and what else touches the transporter is a collision.
+    """Find the geoms of each foot: they bear load together; contact of any other geom is a collision.
 
     An entry of ``robot.feet`` that is a list names all of them. An entry that is one name stands for that geom and for
     the other colliding geoms of the same rigid link that are
@@ -44,7 +44,7 @@ def find_feet(model: mujoco.MjModel, robot: RobotSpec) -> tuple[tuple[int, ...],
 
 
 def _others(model: mujoco.MjModel, data: mujoco.MjData, named: int) -> list[int]:
-    """Colliding geoms of the same foot as ``named``."""
+    """Return the other colliding geoms of the foot of ``named``."""
     body = int(model.geom_bodyid[named])
     link = int(model.body_weldid[body])
     hinges = model.jnt_bodyid == link
@@ -81,10 +81,10 @@ def _subtree(model: mujoco.MjModel, root: int) -> set[int]:
 
 
 def reach(model: mujoco.MjModel, geom: int, direction: NDArray[np.float64]) -> float:
-    """Return how far a geom extends from its centre in a direction, m; exact for every convex type.
+    """Return the extent of a geom from its centre in a direction, m; exact for every convex type.
 
     Args:
-        model: has the geom.
+        model: model with the geom.
         geom: id.
         direction: unit vector in the geom's frame, (3,).
     """

@@ -1,4 +1,4 @@
-"""Copies of the files that describe a robot or a transporter, which need nothing outside of their folder."""
+"""Self-contained copies of the files that describe a robot or a transporter."""
 
 from __future__ import annotations
 
@@ -20,20 +20,19 @@ _XML = (".xml", ".mjcf", ".urdf")
 
 
 def copy_robot(path: Path, folder: Path) -> Path:
-    """Copy a robot's TOML file, its MJCF file, and all that this includes and reads: meshes, textures and so on.
+    """Copy a robot's TOML file, its MJCF file, and all files that this includes or reads: meshes, textures and so on.
 
-    The files keep their places relative to each other. Absolute paths in them become relative ones; nothing else is
-    changed.
+    The files keep their relative locations. Absolute paths in them become relative ones; nothing else is changed.
 
     Args:
         path: of the TOML file.
-        folder: where to; it is empty or missing.
+        folder: destination, empty or missing.
 
     Returns:
         The copy of the TOML file, somewhere below ``folder``.
 
     Raises:
-        RobotError: if it is no robot file, or reads a file that could not be copied.
+        RobotError: if it is not a robot file, or reads a file that could not be copied.
         OSError: if a file cannot be read or written.
     """
     path = path.resolve()
@@ -57,13 +56,13 @@ def copy_robot(path: Path, folder: Path) -> Path:
 
 
 def copy_transporter(path: Path, folder: Path) -> Path:
-    """Copy a transporter's TOML file, which needs no other; see :func:`copy_robot`."""
+    """Copy a transporter's TOML file, which needs no other file; see :func:`copy_robot`."""
     folder.mkdir(parents=True, exist_ok=True)
     return Path(shutil.copyfile(path, folder / path.name))
 
 
 COPIES: dict[str, Callable[[Path, Path], Path]] = {"robot": copy_robot, "transporter": copy_transporter}
-"""What may be given as a file, and how it is copied."""
+"""Copy functions by the argument that may be given as a file."""
 
 
 def dependencies(mjcf: Path) -> list[Path]:
@@ -75,14 +74,14 @@ def dependencies(mjcf: Path) -> list[Path]:
         ['a1.xml']
     """
     named = mujoco.mju_getXMLDependencies(str(mjcf))
-    if not all(map(os.path.isfile, named)):  # strippath: it names what the compiler does not read
+    if not all(map(os.path.isfile, named)):  # strippath: some named files are not read by the compiler
         model = mujoco.MjModel.from_xml_path(str(mjcf))
         named += [str(mjcf.parent / name.decode()) for name in bytes(model.paths).split(b"\0") if name]
     return sorted({Path(os.path.normpath(name)) for name in named if os.path.isfile(name)})
 
 
 def _point_to(mjcf: Path, toml: Path) -> None:
-    """Has a copy of a robot's TOML file name the copy of its MJCF file; comments are lost where it did not."""
+    """Make a copy of a robot's TOML file name the copy of its MJCF file; a rewrite loses comments."""
     values = tomllib.loads(toml.read_text(encoding="utf-8-sig"))
     if os.path.normpath(toml.parent / values["mjcf"]) != str(mjcf):
         values["mjcf"] = os.path.relpath(mjcf, toml.parent)
@@ -91,7 +90,7 @@ def _point_to(mjcf: Path, toml: Path) -> None:
 
 
 def _make_relative(file: Path, main: Path, copied: Callable[[Path], Path], root: Path) -> None:
-    """Rewrites the copy of an XML file if it holds absolute paths.
+    """Rewrite the copy of an XML file if it holds absolute paths.
 
     Args:
         file: the original.
@@ -102,7 +101,7 @@ def _make_relative(file: Path, main: Path, copied: Callable[[Path], Path], root:
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     try:
         tree = ElementTree.parse(file, parser)
-    except ElementTree.ParseError:  # MuJoCo's parser is more lenient; what it reads is checked afterwards
+    except ElementTree.ParseError:  # MuJoCo's parser is more lenient; the files that it reads are checked afterwards
         return
     absolute = [
         (element, name, value)
@@ -133,7 +132,7 @@ def _below(folder: Path, root: Path) -> bool:
 
 
 def _stands_alone(file: Path) -> bool:
-    """Whether an XML file is a model, which others attach, rather than a part that they include."""
+    """Return whether an XML file is a model, which others attach, rather than a part that they include."""
     try:
         mujoco.MjSpec.from_file(str(file))
     except ValueError:
@@ -142,7 +141,7 @@ def _stands_alone(file: Path) -> bool:
 
 
 def _check(mjcf: Path, copies: Iterable[Path], source: Path) -> None:
-    """Refuses a copy that reads anything else than copies."""
+    """Raise if a copy reads files that are not copies."""
     outside = sorted({str(file) for file in dependencies(mjcf)} - {str(file) for file in copies})
     if outside:
         raise RobotError(

@@ -1,4 +1,4 @@
-"""The checkered floor in pictures: physics keeps board and robot at the origin, the floor shows how far they rode."""
+"""Checkered floor in renderings: physics keeps board and robot at the origin, the floor shows the distance."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 _TILES = 25
-"""Repetitions of the texture after which positions begin anew: near enough for OpenGL's float32, seldom enough."""
+"""Texture repetitions after which positions wrap: near enough for OpenGL's float32, and seldom."""
 
 
 def floor_planes(model: mujoco.MjModel) -> NDArray[np.int64]:
-    """Return the numbers of the planes that stand still, of a scene its floor."""
+    """Return the ids of fixed planes, in a scene its floor."""
     return np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_bodyid == 0))
 
 
 def floor_period(model: mujoco.MjModel) -> float:
-    """Return the length after which the floor looks the same again, m.
+    """Return the period of the floor's texture, m.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene
@@ -29,7 +29,7 @@ def floor_period(model: mujoco.MjModel) -> float:
 
 
 def near_origin(position: ArrayLike, period: float) -> NDArray[np.float64]:
-    """Return the position near the origin under which an endless floor looks as it does at ``position``.
+    """Return the position near the origin at which an endless floor looks as it does at ``position``.
 
     Args:
         position: in the world, m, (*B, 2).

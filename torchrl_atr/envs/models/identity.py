@@ -1,4 +1,4 @@
-"""Describe scenes as plain values, compare two, and name what differs."""
+"""Descriptions of scenes as plain values, their comparison and named differences."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from torchrl_atr.envs.models.scene import Scene
 PARTS = ("robot", "transporter")
 """Parts of a description, each of which can be replaced alone."""
 Description = dict[str, dict[str, dict[str, Any]]]
-"""By part, by element (``"body FL_thigh"``), by field."""
+"""Values by part, by element (``"body FL_thigh"``), by field."""
 _KINDS = ("body", "jnt", "geom", "actuator", "eq", "tendon")
 _INTEGERS = {
     *("jnt_type", "jnt_limited", "jnt_actfrclimited", "jnt_actgravcomp"),
@@ -28,23 +28,23 @@ _INTEGERS = {
     *("actuator_gaintype", "actuator_biastype", "actuator_dyntype", "actuator_forcelimited", "actuator_ctrllimited"),
     *("eq_type", "eq_active0", "tendon_limited"),
 }
-"""Those that are not addresses of something else."""
+"""Integer fields that are not addresses of something else."""
 _DERIVED = {
     *("body_subtreemass", "body_invweight0", "dof_invweight0", "dof_M0", "dof_length"),
     *("actuator_acc0", "actuator_length0", "actuator_lengthrange", "tendon_invweight0", "tendon_length0"),
     *("geom_rgba", "tendon_rgba", "tendon_width"),
 }
-"""What MuJoCo computes from the rest, each version in its own way, and what is only looked at."""
+"""Fields that MuJoCo computes from the others, differently by version, and those for rendering alone."""
 _CONTACTS = {field.name for field in dataclasses.fields(ContactModel)}
-"""Options that are neither the robot's nor the transporter's: what was trained under other ones can be ridden here."""
+"""Options that belong to neither robot nor transporter; policies trained with other ones still run."""
 _TOLERANCE = 1e-6
-"""Relative: MuJoCo's versions round differently."""
+"""Relative tolerance: MuJoCo's versions round differently."""
 
 
 def describe(scene: Scene) -> Description:
-    """Describe what decides how a robot and its support move: their specs, and the compiled model's physics.
+    """Describe the physics of a robot and its support: their specs, and the compiled model.
 
-    Colours, textures, cameras, lights, geoms that touch nothing, and where the files lie are left out.
+    Colours, textures, cameras, lights, geoms without contacts, and file paths are left out.
 
     Args:
         scene: a compiled scene.
@@ -72,13 +72,13 @@ def digest(description: Description) -> str:
 
 
 def differences(then: Mapping[str, Any], now: Mapping[str, Any], parts: Collection[str] = PARTS) -> list[str]:
-    """Name what differs between two descriptions.
+    """Name the differences between two descriptions.
 
-    Fields that only one of them knows are left out: MuJoCo and this package gain some.
+    Fields that only one of them has are left out: new versions of MuJoCo and this package add some.
 
     Args:
         then: of a run.
-        now: of what there is here.
+        now: of the present scene.
         parts: which parts to compare.
 
     Returns:
@@ -117,7 +117,7 @@ def first_few(changed: Sequence[str], count: int = 2) -> str:
 
 
 def _facts(robot: RobotSpec) -> dict[str, Any]:
-    """Return the fields of a robot's spec but for its name and its file."""
+    """Return the fields of a robot's spec except its name and its file."""
     return {name: value for name, value in _plain(dataclasses.asdict(robot)).items() if name not in ("name", "mjcf")}
 
 
@@ -127,7 +127,7 @@ def _options(model: mujoco.MjModel) -> dict[str, Any]:
 
 
 def _elements(scene: Scene) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Yield part, label and fields of all that moves or is moved; the floor is the scene's own."""
+    """Yield part, label and fields of all elements that move or act; the floor belongs to the scene."""
     model = scene.model
     support = scene.support
     theirs = {model.body(name).id for name in support.bodies}
@@ -174,7 +174,7 @@ def _body_extras(model: mujoco.MjModel, i: int) -> dict[str, Any]:
 
 
 def _joint_extras(model: mujoco.MjModel, i: int) -> dict[str, Any]:
-    """Of the joint's degrees of freedom, and where it hangs."""
+    """Return fields of the joint's degrees of freedom, and its position."""
     following = int(model.jnt_dofadr[i + 1]) if i + 1 < model.njnt else model.nv
     dofs = slice(int(model.jnt_dofadr[i]), following)
     names = [name for name in dir(model) if name.startswith("dof_") and name not in _DERIVED]
@@ -184,7 +184,7 @@ def _joint_extras(model: mujoco.MjModel, i: int) -> dict[str, Any]:
 
 
 def _geom_extras(model: mujoco.MjModel, i: int) -> dict[str, Any]:
-    """Of a mesh how many vertices it has, their mean and their spread."""
+    """Return, for a mesh, the number of vertices, their mean and their spread."""
     own: dict[str, Any] = {"parent": _body(model, int(model.geom_bodyid[i]))}
     if model.geom_type[i] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = model.mesh(int(model.geom_dataid[i]))
@@ -198,7 +198,7 @@ _EXTRAS = {"body": _body_extras, "jnt": _joint_extras, "geom": _geom_extras}
 
 
 def _plain(value: Any) -> Any:
-    """``value`` as JSON could hold it."""
+    """Return ``value`` as JSON can hold it."""
     if isinstance(value, dict):
         return {str(name): _plain(entry) for name, entry in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -222,7 +222,7 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def _changed(then: Any, now: Any) -> str:
-    """The values that differ, of lists only the first pair."""
+    """Return the values that differ, of lists only the first pair."""
     while isinstance(then, list) and isinstance(now, list) and len(then) == len(now):
         then, now = next((pair for pair in zip(then, now) if not _same(*pair)), ("", ""))
     short = [f"{value:.6g}" if isinstance(value, float) else str(value)[:40] for value in (then, now)]

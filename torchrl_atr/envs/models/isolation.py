@@ -1,4 +1,4 @@
-"""Isolate the robot in its MJCF file: other elements and settings, which would reach the scene, go."""
+"""Isolation of the robot in its MJCF file: removes other elements and settings, which would affect the scene."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models.robot import RobotSpec
 
 _IDENTITY = ("classname", "compiler", "frame", "id", "info", "name", "parent", "plugin", "signature", "userdata")
-"""What an element of an ``MjSpec`` is rather than what it is set to; some cannot even be read on a default."""
+"""Attributes of an ``MjSpec`` element that are not settings; some cannot be read on a default."""
 _NOTATION = ("autolimits", "degree", "eulerseq", "fitaabb", "meshdir", "texturedir")
-"""Compiler settings that say how the robot's own elements are written; the scene's are written without them."""
+"""Compiler settings of the notation of the robot's elements; the scene's are written without them."""
 _INERTIAL = ("balanceinertia", "boundinertia", "boundmass", "inertiafromgeom", "inertiagrouprange", "settotalmass")
-"""Compiler settings that shape the inertia of every body."""
+"""Compiler settings that affect the inertia of every body."""
 _SIZES = ("nconmax", "nemax", "njmax", "nkey", "nstack", "nuserdata", "memory")
 _USER_SIZES = tuple(f"nuser_{kind}" for kind in ("actuator", "body", "cam", "geom", "jnt", "sensor", "site", "tendon"))
 _NAMED = {
@@ -29,13 +29,13 @@ _NAMED = {
     "material": "materials",
     "texture": "textures",
 }
-"""Kinds of elements that both a robot and the scene may name, and the lists of ``MjSpec`` that hold them."""
+"""Lists of ``MjSpec`` by the kinds of elements that both a robot and the scene may name."""
 
 
 def isolate(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
-    """Remove everything but the robot from ``spec``, and reset every setting that would reach the scene.
+    """Remove everything but the robot from ``spec``, and reset every setting that would affect the scene.
 
-    Settings that shape the inertia of bodies stay until :func:`write_inertias`.
+    Settings that affect the inertia of bodies stay until :func:`write_inertias`.
 
     Args:
         spec: the robot's MJCF file.
@@ -60,7 +60,7 @@ def _delete_surroundings(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
     if robot.trunk not in bodies:
         raise robot.error(f"{robot.mjcf} has no root body {robot.trunk!r} (trunk); {nearest(robot.trunk, bodies)}")
     for body in [body for body in world.bodies if body.name != robot.trunk]:
-        spec.delete(body)  # and what refers to it or to its parts
+        spec.delete(body)  # and all references to it or to its parts
     custom = [*spec.numerics, *spec.texts, *spec.tuples]
     driving = [*spec.sensors, *spec.actuators, *spec.keys, *spec.pairs]
     for element in [*custom, *driving, *world.geoms, *world.cameras, *world.sites, *spec.lights]:
@@ -71,7 +71,7 @@ def _delete_surroundings(spec: mujoco.MjSpec, robot: RobotSpec) -> None:
 
 
 def _delete_dangling(spec: mujoco.MjSpec) -> None:
-    """Delete what refers to the world or to what was removed from it, where MuJoCo has not done so."""
+    """Delete references to the world or to elements removed from it, where MuJoCo has not done so."""
     bodies, sites = ({element.name for element in elements} for elements in (spec.bodies, spec.sites))
     for tendon in list(spec.tendons):
         if any(wrap.type != mujoco.mjtWrap.mjWRAP_PULLEY and wrap.target is None for wrap in tendon.path):
@@ -115,14 +115,14 @@ def _reset_settings(spec: mujoco.MjSpec) -> None:
 
 
 def _compilers(spec: mujoco.MjSpec) -> list[Any]:
-    """The compiler settings of the file, and of the models that it attaches: each part keeps those it was read with."""
+    """Return the compiler settings of the file, and of the models that it attaches: each part keeps its own."""
     return [spec.compiler, *(body.compiler for body in spec.bodies)]
 
 
 def _global_defaults(spec: mujoco.MjSpec) -> list[Any]:
-    """The classes ``main`` of the file, and of the models that it attaches, as far as an element is in them.
+    """Return the classes ``main`` of the file, and of the models that it attaches, as far as an element is in them.
 
-    What the file's elements had from them they keep; what the scene adds starts from MuJoCo's own.
+    The file's elements keep the values that they have from them; elements of the scene start from MuJoCo's defaults.
     """
     elements = (*spec.geoms, *spec.joints, *spec.sites, *spec.cameras, *spec.materials, *spec.meshes)
     classes = [element.classname for element in elements]
@@ -137,9 +137,9 @@ def _reset(settings: Any, fresh: Any, keep: Iterable[str] = ()) -> None:
 
 
 def write_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Write the inertias of ``model`` into its ``spec`` where compiler settings shape them, and reset those settings.
+    """Write the inertias of ``model`` into its ``spec`` where compiler settings affect them, and reset those settings.
 
-    The scene's own bodies, and a file that the scene is saved to, are then free of them.
+    They then do not affect the scene's own bodies, or a file that the scene is saved to.
     """
     fresh, compilers = mujoco.MjSpec().compiler, _compilers(spec)
     if all(np.array_equal(getattr(each, name), getattr(fresh, name)) for each in compilers for name in _INERTIAL):
@@ -157,7 +157,7 @@ def write_inertias(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def check_names(spec: mujoco.MjSpec, fixtures: mujoco.MjSpec, robot: RobotSpec) -> None:
-    """Refuse a robot that has names of the scene's own parts; assets that nothing uses are dropped instead.
+    """Raise if a robot has names of the scene's own parts; drop unused assets instead.
 
     Args:
         spec: the robot alone.
@@ -165,7 +165,7 @@ def check_names(spec: mujoco.MjSpec, fixtures: mujoco.MjSpec, robot: RobotSpec) 
         robot: for messages.
 
     Raises:
-        RobotError: names every element in question.
+        RobotError: names every such element.
     """
     _drop_unused_assets(spec, _names(fixtures.materials), _names(fixtures.textures))
     taken = []

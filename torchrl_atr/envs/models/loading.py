@@ -1,4 +1,4 @@
-"""From a robot's MJCF file, ours or anyone's, to the rider of a scene: checked, stripped, driven by its spec's PD."""
+"""Loading of a robot's MJCF file, checked, stripped, and driven by its spec's PD controllers."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
 
 
 def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
-    """Reads the robot's MJCF file and makes it a rider.
+    """Load the robot's MJCF file and prepare it for a scene.
 
     The robot itself stays as the file has it: bodies, inertias, joints with their damping, friction and limits, meshes,
-    cameras, constraints. What surrounds or drives it goes: lights, floor and other bodies of the world, options,
-    keyframes, sensors, actuators. Twelve position actuators of the spec's gains and torque limits come instead, in
+    cameras, constraints. Its surroundings and drives are removed: lights, floor and other bodies of the world, options,
+    keyframes, sensors, actuators. Twelve position actuators of the spec's gains and torque limits replace them, in
     the order of ``robot.joints``. Its geoms collide with the transporter only, and by the support's contact parameters.
 
     Args:
-        robot: the rider.
+        robot: its spec.
 
     Returns:
         The editable model without surroundings, and the same compiled (without actuators).
@@ -44,7 +44,7 @@ def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
         raise robot.error(f"there is no MJCF file at {robot.mjcf}; check mjcf")
     with blame_file(robot):
         spec = mujoco.MjSpec.from_file(str(robot.mjcf))
-    for folder in ("meshdir", "texturedir"):  # absolute: the scene may be saved anywhere
+    for folder in ("meshdir", "texturedir"):  # absolute: the scene may be saved to any folder
         setattr(spec, folder, str(robot.mjcf.parent.resolve() / Path(getattr(spec, folder))))
     isolate(spec, robot)
     model = compile_spec(spec, robot)
@@ -70,11 +70,11 @@ def compile_spec(spec: mujoco.MjSpec, robot: RobotSpec) -> mujoco.MjModel:
 
 @contextlib.contextmanager
 def blame_file(robot: RobotSpec) -> Iterator[None]:
-    """Turn what MuJoCo says of a file into an error of ours; for MuJoCo's functions alone, which raise no other."""
+    """Turn MuJoCo's error about a file into a :class:`RobotError`; wrap calls of MuJoCo alone, which raise no other."""
     try:
         yield
     except (ValueError, mujoco.FatalError, mujoco.UnexpectedError) as error:
-        # it names the element, and the asset that is missing
+        # MuJoCo's message names the element, and the missing asset
         raise robot.error(
             f"MuJoCo cannot compile {robot.mjcf}: {' '.join(str(error).split())}. Does it open in "
             "`python -m mujoco.viewer`? Mesh and texture files are looked up in its folder or its meshdir"
@@ -137,7 +137,7 @@ def _check_feet(model: mujoco.MjModel, robot: RobotSpec) -> None:
 
 
 def _check_legs(model: mujoco.MjModel, robot: RobotSpec) -> None:
-    """Each foot must hang on its leg's three joints, in their order from the trunk."""
+    """Check that each foot is attached to its leg's three joints, in their order from the trunk."""
     for i, (leg, (foot, *_)) in enumerate(zip(LEGS, robot.foot_names)):
         chain: list[str] = []
         body = int(model.geom(foot).bodyid[0])
@@ -155,7 +155,7 @@ def _check_legs(model: mujoco.MjModel, robot: RobotSpec) -> None:
 
 
 def _locate_attached(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Make paths of what attached models read absolute: those are relative to folders that no saved scene knows."""
+    """Make the file paths of attached models absolute: they are relative to folders unknown to a saved scene."""
     for kind, elements, folder in (
         ("mesh", spec.meshes, "meshdir"),
         ("hfield", spec.hfields, "meshdir"),
@@ -170,7 +170,7 @@ def _locate_attached(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
 
 
 def _name_feet(spec: mujoco.MjSpec, model: mujoco.MjModel, robot: RobotSpec) -> None:
-    """Give every geom of a foot a name, by which the scene's sensors find it."""
+    """Name every geom of a foot, for the scene's sensors."""
     taken = {geom.name for geom in spec.geoms}
     for foot, (named, *_) in zip(find_feet(model, robot), robot.foot_names):
         for geom in (geom for geom in spec.geoms if geom.id in foot and not geom.name):

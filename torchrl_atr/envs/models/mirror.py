@@ -1,4 +1,4 @@
-"""Compare a robot's left half with the mirror image of its right one, which ``symmetric=true`` takes for granted."""
+"""Comparison of a robot's left half with the mirror image of its right one, for ``symmetric=true``."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from torchrl_atr.envs.models.feet import find_feet, reach
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
 
 MASS_TOLERANCE = 0.02
-"""Relative. Public models differ by rounding; the tolerances let that pass, and no more than is lost in a ride."""
+"""Relative tolerance of masses. All tolerances allow for rounding in public models, too small to affect riding."""
 LENGTH_TOLERANCE = 0.003
-"""Of joints, feet and centres of mass of the legs, m; the calves of the public Go1 differ by 0.002."""
+"""Tolerance of joints, feet and centres of mass of the legs, m; the calves of the public Go1 differ by 0.002."""
 TRUNK_TOLERANCE = 0.01
-"""How far the trunk's centre of mass may lie off the plane of symmetry, m."""
+"""Largest distance of the trunk's centre of mass from the plane of symmetry, m."""
 INERTIA_TOLERANCE = 0.05
-"""Of a link's inertia tensor, relative to its largest moment."""
+"""Tolerance of a link's inertia tensor, relative to its largest moment."""
 ANGLE_TOLERANCE = 0.06
-"""Of ranges and springs, rad; the ranges of the public Spot differ by 0.05."""
+"""Tolerance of ranges and springs, rad; the ranges of the public Spot differ by 0.05."""
 JOINT_TOLERANCE = 0.01
-"""Of armature, damping, friction loss, stiffness and force limits, relative."""
+"""Relative tolerance of armature, damping, friction loss, stiffness and force limits."""
 _PARTNERS = tuple((LEGS.index(f"{end}L"), LEGS.index(f"{end}R")) for end in "FR")
 _FLIP = np.array([1.0, -1.0, 1.0])
 Array = NDArray[np.float64]
 
 
 class Difference(NamedTuple):
-    """Two parts that should be mirror images, and in what they are not.
+    """Two parts that should be mirror images, and their difference.
 
     Attributes:
         left, right: names of the parts.
-        what: with the values of both, in this order.
+        what: the difference, with the values of both, in this order.
     """
 
     left: str
@@ -43,7 +43,7 @@ class Difference(NamedTuple):
 
 
 class _Link(NamedTuple):
-    """A rigid link in the trunk's frame: mass, centre of mass, inertia about it."""
+    """Rigid link in the trunk's frame: mass, centre of mass, inertia about it."""
 
     mass: float
     com: Array
@@ -59,8 +59,8 @@ def find_asymmetry(model: mujoco.MjModel, robot: RobotSpec, signs: Array) -> Dif
 
     Args:
         model: the scene.
-        robot: the rider; its joint axes and q0 mirror each other.
-        signs: +1 or -1 by joint, what mirrors its angle, (12,).
+        robot: its spec; its joint axes and q0 mirror each other.
+        signs: +1 or -1 by joint, the factor that mirrors its angle, (12,).
     """
     return next(_differences(model, robot, signs), None)
 
@@ -90,7 +90,7 @@ def _differences(model: mujoco.MjModel, robot: RobotSpec, signs: Array) -> Itera
 
 
 def _link(model: mujoco.MjModel, data: mujoco.MjData, root: int) -> _Link:
-    """``root`` and all that is welded to it."""
+    """Return the link of ``root`` and all bodies welded to it."""
     bodies = np.flatnonzero(model.body_weldid == root)
     masses = model.body_mass[bodies]
     total = float(masses.sum())
@@ -160,7 +160,7 @@ def _compare_feet(
 
 
 def _extent(model: mujoco.MjModel, data: mujoco.MjData, foot: tuple[int, ...]) -> Array:
-    """Corners of the box around a foot, (2, 3)."""
+    """Return the corners of the bounding box of a foot, m, (2, 3)."""
     low, high = [], []
     for geom in foot:
         axes, centre = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
@@ -174,6 +174,6 @@ def _near(one: Array, other: Array, tolerance: float) -> bool:
 
 
 def _list(values: Array) -> str:
-    """A number, or several in brackets."""
+    """Format a number, or several in brackets."""
     shown = ", ".join(f"{value:.4g}" for value in np.atleast_1d(values))
     return f"[{shown}]" if np.size(values) > 1 else shown

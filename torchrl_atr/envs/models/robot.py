@@ -1,4 +1,4 @@
-"""Robots: an MJCF file plus the few facts about it that the task needs."""
+"""Robots: an MJCF file plus the data about it that a task needs."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ GROUPS = ("G1", "G2")
 
 
 class RobotError(UserError, ValueError):
-    """A robot that cannot ride as it is described; the message names the culprit and the remedy."""
+    """Error of a robot that cannot be used as described; the message names the cause and the remedy."""
 
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """What the task knows of a robot beyond its MJCF file.
+    """Spec of a robot: the data that a task needs beyond its MJCF file.
 
     Joints and feet are listed leg by leg in the order of :data:`LEGS`, three joints a leg (abduction, thigh, calf); the
     MJCF file may order and name them as it likes, since every address is looked up by name. The robot faces along x.
 
     Attributes:
-        name: what messages and models call it.
+        name: its name in messages and models.
         mjcf: path of the MJCF file. Its actuators, sensors and keyframes are replaced by the scene's own.
         trunk: name of the root body, which carries a free joint.
         joints: names of the twelve leg hinges; each is driven by one position actuator.
@@ -98,12 +98,12 @@ class RobotSpec:
         return tuple((foot,) if isinstance(foot, str) else foot for foot in self.feet)
 
     def error(self, message: str) -> RobotError:
-        """A :class:`RobotError` that says whose it is."""
+        """Return a :class:`RobotError` that names the robot."""
         return RobotError(f"robot {self.name!r}: {message}")
 
 
 def _check_feet(robot: RobotSpec) -> None:
-    """Makes a tuple of names, or of tuples of names, after checking them."""
+    """Check the feet and make them a tuple of names, or of tuples of names."""
     remedy = f"name one geom, or a list of all geoms of the foot, for each of {', '.join(LEGS)}"
     if not isinstance(robot.feet, Sequence) or isinstance(robot.feet, str):
         raise robot.error(f"feet={robot.feet!r} is not a list; {remedy}")
@@ -125,7 +125,7 @@ ROBOTS: Registry[RobotSpec] = Registry("robot", hint="or a .toml file that descr
 
 
 def register_robot(name: str, spec: RobotSpec) -> RobotSpec:
-    """Makes a robot known by name wherever a robot's name is accepted.
+    """Register a robot by name, for all functions that accept a robot's name.
 
     Args:
         name: to register it under; becomes the spec's ``name``.
@@ -147,7 +147,7 @@ def register_robot(name: str, spec: RobotSpec) -> RobotSpec:
 
 
 def _ship(name: str, *, legs: Sequence[str], joint: str, parts: Sequence[str], **facts: Any) -> None:
-    """Registers one of our own robots; ``legs`` and ``parts`` are its maker's names in our order."""
+    """Register a robot of this package; ``legs`` and ``parts`` are its maker's names in the order of :data:`LEGS`."""
     spec = RobotSpec(
         name=name,
         mjcf=_MODELS / f"{name}.xml",
@@ -159,7 +159,7 @@ def _ship(name: str, *, legs: Sequence[str], joint: str, parts: Sequence[str], *
     register_robot(name, spec)
 
 
-# Poses: reading A35. Gains: A13, for the heavy G2 robots scaled with their mass. Heights: where the robot settles.
+# Poses: question A35. Gains: A13, for the heavy G2 robots scaled with their mass. Heights: where the robot settles.
 _UNITREE: dict[str, Any] = {
     "trunk": "trunk",
     "legs": LEGS,

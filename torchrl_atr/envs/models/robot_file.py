@@ -1,4 +1,4 @@
-"""Robots of one's own: a :class:`RobotSpec` written down in a TOML file."""
+"""Custom robots: a :class:`RobotSpec` in a TOML file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torchrl_atr.envs.models.spec_file import is_spec_file, read_spec
 
 
 def get_robot(robot: str | Path | RobotSpec) -> RobotSpec:
-    """The robot that is meant, wherever one can be chosen.
+    """Return the spec of a robot given by name, by file or as a spec.
 
     Args:
         robot: name of a registered robot, path of a ``.toml`` file (see :func:`read_robot`), or a spec of your own.
@@ -29,18 +29,18 @@ def get_robot(robot: str | Path | RobotSpec) -> RobotSpec:
 
 
 def describe_robot(robot: str | Path | RobotSpec) -> str:
-    """Return what :func:`get_robot` makes the same robot of elsewhere: a registered name, or a path."""
+    """Return the argument from which :func:`get_robot` makes the same robot: a registered name, or a path."""
     return robot.name if isinstance(robot, RobotSpec) else str(robot)
 
 
 def read_robot(path: str | Path) -> RobotSpec:
-    """A robot described by a TOML file, whose keys are the fields of :class:`RobotSpec`.
+    """Read a robot from a TOML file, whose keys are the fields of :class:`RobotSpec`.
 
     Args:
         path: of the file; ``mjcf`` in it is relative to its folder.
 
     Returns:
-        The spec; what it says of the MJCF file is checked when a scene is built from it.
+        The spec; it is checked against the MJCF file when a scene is built from it.
 
     Raises:
         RobotError: if the file is missing, malformed, lacks a key, has one too many, or holds an impossible value.

@@ -1,4 +1,4 @@
-"""A scene as one MJCF file, which MuJoCo reads as the same model."""
+"""Export of a scene as one MJCF file, which MuJoCo reads as the same model."""
 
 from __future__ import annotations
 

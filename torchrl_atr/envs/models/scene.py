@@ -1,4 +1,4 @@
-"""The scene: one robot on what it stands on, compiled, with the addresses of all that tasks read."""
+"""Scene: one robot on its support, compiled, with the addresses that tasks read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from torchrl_atr.envs.models.support import FLOOR, Support
 STAND = "stand"
 """Keyframe of the robot standing in q0 with ctrl = q0; the scene has no other."""
 _ROBOT_FORCE = "robot_force"
-"""Unlike any of the feet's sensors, ``force_`` and ``position_`` with a geom's name."""
+"""Sensor name unlike those of the feet, ``force_`` and ``position_`` with a geom's name."""
 TIMESTEP = 0.005
 """Simulation step, s (200 Hz)."""
 
@@ -29,16 +29,16 @@ class Layout:
     """Addresses of the robot's parts in ``qpos``, ``qvel``, ``sensordata`` and the model's fields.
 
     Attributes:
-        root_qpos, root_dof: where the trunk's free joint begins.
+        root_qpos, root_dof: first addresses of the trunk's free joint.
         joint_qpos, joint_dof, actuators: of the leg joints in the spec's order, (12,).
-        sensors: of forces and places, by name.
+        sensors: of forces and positions, by name.
         trunk_body: the root body.
-        support_geoms: what the feet touch.
-        origin_qpos: x and y of the place that the simulation is kept near the world's origin around, (2,); empty for a
-            support that is fixed in the world.
-        carried_qpos: x and y of all that moves along with it, (k, 2).
-        followed_body: what cameras follow.
-        foot_sizes: how many geoms each foot has: the sensors ``foot_force`` and ``foot_position`` read them one by one.
+        support_geoms: geoms that the feet touch.
+        origin_qpos: x and y of the point that recentring keeps near the world's origin, (2,); empty for a support that
+            is fixed in the world.
+        carried_qpos: x and y of all that is recentred with it, (k, 2).
+        followed_body: body that cameras follow.
+        foot_sizes: number of geoms of each foot: the sensors ``foot_force`` and ``foot_position`` have one for each.
     """
 
     root_qpos: int
@@ -57,14 +57,14 @@ class Layout:
 
 @dataclass(frozen=True)
 class Scene:
-    """A compiled scene; ``model``'s keyframe 0, ``stand``, is the robot standing in q0 with ctrl = q0.
+    """Compiled scene; ``model``'s keyframe 0, ``stand``, is the robot standing in q0 with ctrl = q0.
 
     Attributes:
         robot: its spec.
-        support: what it stands on, a :class:`~torchrl_atr.envs.models.support.Support`.
+        support: a :class:`~torchrl_atr.envs.models.support.Support`.
         model: the compiled model.
         layout: addresses of the robot's parts.
-        support_layout: addresses of the support's parts, as its ``locate`` gives them.
+        support_layout: addresses of the support's parts, as its ``locate`` returns them.
     """
 
     robot: RobotSpec
@@ -75,7 +75,7 @@ class Scene:
 
 
 def build_scene(robot: RobotSpec, support: Support) -> Scene:
-    """Join a robot and what it stands on into one compiled model.
+    """Join a robot and its support into one compiled model.
 
     Args:
         robot: its spec.
@@ -97,7 +97,7 @@ def build_scene(robot: RobotSpec, support: Support) -> Scene:
 
 
 def join(robot: RobotSpec, support: Support, model: mujoco.MjModel) -> Scene:
-    """Return the scene of which ``model`` is the compiled one."""
+    """Return the scene of a compiled ``model``."""
     return Scene(robot, support, model, _layout(model, robot, support), support.locate(model))
 
 
@@ -111,7 +111,7 @@ def scene_spec(robot: RobotSpec, support: Support) -> mujoco.MjSpec:
     _add_fixtures(fixtures, support, mass)
     check_names(spec, fixtures, robot)
     spec.modelname = f"{robot.name}-{support.name}"
-    spec.compiler.savecompiled = spec.compiler.savecanonical = False  # every digit, and as it was written
+    spec.compiler.savecompiled = spec.compiler.savecanonical = False  # every digit, in the order written
     _set_options(spec)
     _add_fixtures(spec, support, mass)
     _add_sensors(spec, feet, robot, support)
@@ -140,7 +140,7 @@ def _set_options(spec: mujoco.MjSpec) -> None:
 
 
 def _add_surroundings(spec: mujoco.MjSpec) -> None:
-    """Floor, sky and light: to look at; a support may make the floor one to touch."""
+    """Add floor, sky and light, for rendering; a support may enable contacts of the floor."""
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
     spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
@@ -178,7 +178,7 @@ def _add_surroundings(spec: mujoco.MjSpec) -> None:
 
 def _add_sensors(spec: mujoco.MjSpec, feet: list[str], robot: RobotSpec, support: Support) -> None:
     """Add foot forces and positions, the contact force on the support, the robot's centre of mass: one array."""
-    # what, how reduced, how many: a world-frame sum, zero without contact
+    # data, reduction, number: a world-frame sum, zero without contact
     force, netforce, one = 1 << 1, 3, 1
 
     def add_force(name: str, objtype: mujoco.mjtObj, objname: str) -> None:
@@ -211,7 +211,7 @@ def _add_sensors(spec: mujoco.MjSpec, feet: list[str], robot: RobotSpec, support
 
 
 def columns(addresses: np.ndarray) -> slice | np.ndarray:
-    """Return addresses as a slice where they run on: a view where they would make a copy.
+    """Return contiguous addresses as a slice, which gives a view instead of a copy.
 
     Example:
         >>> columns(np.array([3, 4, 5])), columns(np.array([4, 3]))

@@ -1,4 +1,4 @@
-"""Specs written down in TOML files, and the checks of their values: shared by robots and transporters."""
+"""Specs in TOML files, and the checks of their values: shared by robots and transporters."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from torchrl_atr._registry import nearest
 
 SUFFIX = ".toml"
 SMALLEST, LARGEST = 1e-6, 1e6
-"""Of positive numbers in SI units, and of all: what is beyond is a slip, and overflows or vanishes in the solver."""
+"""Bounds of positive numbers in SI units, and of all: values beyond are errors, and break the solver."""
 S = TypeVar("S")
 
 
 class Spec(Protocol):
-    """A frozen dataclass that checks itself."""
+    """Base class of frozen dataclasses that check their fields."""
 
     def error(self, message: str) -> UserError:
-        """Return an error that says whose it is."""
+        """Return an error that names the spec."""
 
 
 def is_spec_file(spec: object) -> bool:
-    """Whether a robot or transporter is given by a file rather than by name."""
+    """Return whether a robot or transporter is given by a file rather than by name."""
     return isinstance(spec, str | Path) and str(spec).endswith(SUFFIX)
 
 
@@ -41,7 +41,7 @@ def read_spec(
     Args:
         path: of the file.
         kind: the dataclass.
-        noun: what it describes, for messages.
+        noun: name of its kind, for messages.
         error: raised with every message.
         convert: changes values that TOML cannot hold as the dataclass has them, in place; gets the file's folder.
 
@@ -65,7 +65,7 @@ def read_spec(
 
 
 def check_names(values: Mapping[str, Any], kind: Callable[..., Any], noun: str, error: type[UserError]) -> None:
-    """Check that ``values`` holds all that the dataclass ``kind`` needs, and nothing else; arguments as above."""
+    """Check that ``values`` has all keys that the dataclass ``kind`` needs, and no other; arguments as above."""
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]
     known = [field.name for field in fields]
     for key in values:
@@ -78,7 +78,7 @@ def check_names(values: Mapping[str, Any], kind: Callable[..., Any], noun: str, 
 
 
 def is_number(value: object) -> bool:
-    """Whether ``value`` is a number that physics can compute with, and no truth value.
+    """Return whether ``value`` is a number within the solver's bounds, and not a bool.
 
     Example:
         >>> [is_number(value) for value in (-3, 0.5, True, float("nan"), 1e300, 10**400)]
@@ -96,7 +96,7 @@ def check_text(spec: Spec, *names: str) -> None:
 
 
 def check_list(spec: Spec, name: str, kind: type, size: int, remedy: str) -> None:
-    """Make a tuple of a list of ``size`` texts or numbers, after checking it."""
+    """Check a list of ``size`` strings or numbers and make it a tuple."""
     value = getattr(spec, name)
     if not isinstance(value, Sequence) or isinstance(value, str):
         raise spec.error(f"{name}={value!r} is not a list; {remedy}")

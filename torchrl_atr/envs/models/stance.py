@@ -1,4 +1,4 @@
-"""How a robot stands on its support in q0: the pose of keyframe ``stand``, and what can be wrong with it."""
+"""Standing pose of a robot on its support in q0, the keyframe ``stand``, and its checks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchrl_atr.envs.models.support import Support
 
 _MAX_PITCH = 0.3
 _MAX_UNEVENNESS = 0.01
-"""m: initial heights spread over 2 cm anyway."""
+"""Tolerance, m: initial heights are randomised over 2 cm anyway."""
 _SIDES = {(1, -1): "front right", (-1, -1): "rear right", (1, 1): "front left", (-1, 1): "rear left"}
 """Signs of x and y, in the order of :data:`LEGS`."""
 
@@ -25,7 +25,7 @@ def standing_qpos(model: mujoco.MjModel, robot: RobotSpec, support: Support) -> 
     Args:
         model: a scene with the robot in it.
         robot: its spec.
-        support: whose surface it must fit.
+        support: must be large enough.
 
     Returns:
         (nq,)
@@ -57,12 +57,12 @@ def standing_qpos(model: mujoco.MjModel, robot: RobotSpec, support: Support) -> 
 
 
 def _centres(data: mujoco.MjData, feet: tuple[tuple[int, ...], ...]) -> NDArray[np.float64]:
-    """Where each foot is, the mean of its geoms' centres, m, (4, 3)."""
+    """Return the position of each foot, the mean of its geoms' centres, m, (4, 3)."""
     return np.stack([data.geom_xpos[list(foot)].mean(0) for foot in feet])
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
-    """Return the height of a geom's lowest point where it is now, m; exact for every convex type.
+    """Return the height of a geom's lowest point in its present pose, m; exact for every convex type.
 
     Args:
         model: the scene.
@@ -73,7 +73,7 @@ def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float
 
 
 def _check_upright(feet: NDArray[np.float64], robot: RobotSpec) -> None:
-    """With the trunk's frame at the origin, upright: feet below it, and each where its name says."""
+    """Check, for an upright trunk at the origin, that the feet are below it, each on the side that its name says."""
     for (foot, *_), height in zip(robot.foot_names, feet[:, 2]):
         if height >= 0:
             raise robot.error(

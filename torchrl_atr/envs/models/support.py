@@ -1,4 +1,4 @@
-"""What a robot stands on: the contract that a scene needs, and flat ground."""
+"""Supports: the interface that a scene needs, and flat ground."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from typing import Any
 import mujoco
 
 FLOOR = "floor"
-"""Geom of every scene: a plane at height 0, which touches nothing unless a support makes it."""
+"""Geom of every scene: a plane at height 0, without contacts unless a support enables them."""
 SOLREF = (0.01, 1.0)
 """Time constant, s, and damping ratio of contacts with feet."""
 
 
 class Support(ABC):
-    """What a robot stands on, as a scene needs it: a transporter, the ground, or one of your own.
+    """Interface of the support under a robot: a transporter, the ground, or your own.
 
     Example:
         >>> class Plate(Support):  # fixed to the world, half a metre up
@@ -30,17 +30,17 @@ class Support(ABC):
     @property
     @abstractmethod
     def name(self) -> str:
-        """What messages and models call it."""
+        """Name in messages and models."""
 
     @property
     @abstractmethod
     def kind(self) -> str:
-        """What descriptions of a scene call this part, such as ``"transporter"``."""
+        """Name of this part in descriptions of a scene, such as ``"transporter"``."""
 
     @property
     @abstractmethod
     def geoms(self) -> tuple[str, ...]:
-        """Names of the geoms that feet touch; their friction rules."""
+        """Names of the geoms that feet touch; their friction applies."""
 
     @property
     @abstractmethod
@@ -59,7 +59,7 @@ class Support(ABC):
 
     @property
     def origin(self) -> tuple[str, ...]:
-        """Names of the two slide joints (x, y) that say where the support is; empty for one that does not move.
+        """Names of the two slide joints (x, y) of the support's position; empty for a fixed one.
 
         The simulation is kept near the world's origin by moving support and robot back together.
         """
@@ -67,7 +67,7 @@ class Support(ABC):
 
     @property
     def endless(self) -> bool:
-        """Whether moving the robot alone in the plane changes nothing, as on flat ground."""
+        """Translation invariance: whether moving the robot alone in the plane changes nothing, as on flat ground."""
         return False
 
     @property
@@ -82,25 +82,20 @@ class Support(ABC):
 
     @abstractmethod
     def build(self, spec: mujoco.MjSpec, robot_mass: float) -> None:
-        """Add the support to a scene, which has a floor already.
-
-        Args:
-            spec: the scene.
-            robot_mass: kg.
-        """
+        """Add the support to a scene, which has a floor already; ``robot_mass`` is in kg."""
 
     def locate(self, model: mujoco.MjModel) -> Any:
-        """Return the addresses of the support's parts in the compiled model, for whoever needs them."""
+        """Return the addresses of the support's parts in the compiled model."""
         return None
 
     def describe(self) -> dict[str, Any]:
-        """Return what decides how the support behaves, as plain values."""
+        """Return the parameters of the support's behaviour, as plain values."""
         return {}
 
 
 @dataclass(frozen=True)
 class FlatGround(Support):
-    """The floor itself: endless, level, with one friction coefficient.
+    """Support by the floor: endless, level, with one friction coefficient.
 
     Attributes:
         name: of the support.
@@ -119,12 +114,12 @@ class FlatGround(Support):
     endless = True
 
     def build(self, spec: mujoco.MjSpec, robot_mass: float) -> None:
-        """See :class:`Support`."""
+        """Enable contacts of the floor, see :class:`Support`."""
         touch(spec.geom(FLOOR))
 
 
 def touch(geom: mujoco.MjsGeom) -> None:
-    """Make a geom one that the robot touches, by this geom's contact parameters: one friction to randomise."""
+    """Enable contacts of a geom with the robot, by this geom's contact parameters: one friction to randomise."""
     geom.contype, geom.conaffinity = 0, 1
     geom.priority = 1
     geom.friction = [1.0, 0.005, 0.0001]

@@ -1,4 +1,4 @@
-"""Transporters: how they are built, which tilt drives them, and their measures."""
+"""Transporters: their boards and hinges, drive and dimensions."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ Matrix = tuple[tuple[float, ...], tuple[float, ...]]
 
 
 class TransporterError(UserError, ValueError):
-    """A transporter of impossible measures; the message names the culprit and the remedy."""
+    """Error of an invalid transporter; the message names the cause and the remedy."""
 
 
 @dataclass(frozen=True)
 class Hinge:
-    """A self-balancing hinge between a board and the pivot P.
+    """Self-balancing hinge between a board and the pivot P.
 
     Attributes:
         name: of the joint.
         axis: x (roll) or y (pitch) in the frame of P.
-        gain: which of Table II's two self-balancing gains is its own, 0 or 1.
+        gain: index of its self-balancing gain among Table II's two, 0 or 1.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Hinge:
 
 @dataclass(frozen=True)
 class Board:
-    """One board of a transporter.
+    """Board of a transporter.
 
     Attributes:
         name: of its geom.
@@ -68,13 +68,13 @@ class Board:
 
 @dataclass(frozen=True)
 class Design:
-    """A type of transporter: its boards, what their hinge angles mean, and how they drive it.
+    """Type of transporter: its boards, the meaning of their hinge angles, and its drive.
 
     Attributes:
         boards: of equal length and thickness, side by side.
         driving: the forward and the steering tilt (rows) as combinations of the hinge angles, in the boards' order.
         attitude: pitch and roll (rows) of the frame P, likewise.
-        drive: from tilt and speeds to propulsion; see :func:`~torchrl_atr.envs.models.drives.tilt_drive`, the default.
+        drive: tilt and speeds to propulsion; :func:`~torchrl_atr.envs.models.drives.tilt_drive` by default.
 
     Raises:
         TransporterError: if there is no hinge, a matrix has another number of columns than there are hinges, or
@@ -94,7 +94,7 @@ class Design:
     def __post_init__(self) -> None:
         count = len(self.hinges)
         if not count:
-            raise TransporterError("a design needs a hinge: without one, no rider can tilt it")
+            raise TransporterError("a design needs a hinge: without one, no robot can tilt it")
         for name in ("driving", "attitude"):
             shape = np.shape(getattr(self, name))
             if shape != (2, count):
@@ -133,10 +133,10 @@ TWO_BOARD = Design(
 
 @dataclass(frozen=True)
 class TransporterSpec:
-    """A tilt-driven transporter (Table IV and the paper's "Configuration of Transporters").
+    """Spec of a tilt-driven transporter (Table IV and the paper's "Configuration of Transporters").
 
     Attributes:
-        name: what messages and models call it.
+        name: its name in messages and models.
         design: its boards and hinges.
         size: length, width and thickness of all boards together, m.
         mass: nominal, of all boards together, kg (A14).
@@ -144,14 +144,14 @@ class TransporterSpec:
         max_yaw_acceleration: αmax, rad/s² at a steering tilt of ``tilt_norm``.
         tilt_norm: θnp, rad.
         resistance: the coefficients (c0, c1, c2) of R(x) = c0 + c1 x + c2 x².
-        sb_stiffness: nominal self-balancing stiffness as printed in Table II (its unit is reading A12): roll and
+        sb_stiffness: nominal self-balancing stiffness as printed in Table II (its unit is question A12): roll and
             pitch of a single board, right and left of two.
         sb_damping: nominal self-balancing damping, likewise.
-        spring_scale: what both are multiplied by under the reading ``scaled_springs`` (A12).
+        spring_scale: factor of both if ``scaled_springs`` is set (A12).
 
     Raises:
         TransporterError: for a size, mass or limit that is not a positive number, a negative resistance, stiffness or
-            damping, a wrong number of values, or a design that is none.
+            damping, a wrong number of values, or an invalid design.
     """
 
     name: str
@@ -186,11 +186,11 @@ class TransporterSpec:
                     raise self.error(f"{name} holds {value!r}; it would drive the transporter: give 0 or more")
 
     def error(self, message: str) -> TransporterError:
-        """A :class:`TransporterError` that says whose it is."""
+        """Return a :class:`TransporterError` that names the transporter."""
         return TransporterError(f"transporter {self.name!r}: {message}")
 
     def board_size(self, board: Board) -> tuple[float, float, float]:
-        """Length, width and thickness of one of the boards, m."""
+        """Return length, width and thickness of one of the boards, m."""
         length, width, thickness = self.size
         return length, board.share * width, thickness
 
@@ -205,7 +205,7 @@ class TransporterSpec:
         return float(total[0]), float(total[1]), float(total[2])
 
     def springs(self, readings: Interpretation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Nominal self-balancing stiffness and damping in Table II's order, N m/rad and N m s/rad, (2,) each (A12)."""
+        """Return nominal stiffness, N m/rad, and damping, N m s/rad, of the hinges in Table II's order, (2,) (A12)."""
         unit = readings.sb_unit * (self.spring_scale if readings.scaled_springs else 1.0)
         return unit * np.array(self.sb_stiffness), unit * np.array(self.sb_damping)
 
@@ -222,12 +222,12 @@ for _kind, _design in {"single_board": SINGLE_BOARD, "two_board": TWO_BOARD}.ite
 
 
 def get_transporter(transporter: str | Path | Mapping[str, Any] | TransporterSpec, robot: RobotSpec) -> TransporterSpec:
-    """The transporter that is meant, wherever one can be chosen.
+    """Return the spec of a transporter given by name, by file or as a spec.
 
     Args:
         transporter: a registered name; ``single_board`` or ``two_board`` for the one of the robot's size class; path of
-            a ``.toml`` file (see :func:`read_transporter`), or what it holds; or a spec of your own.
-        robot: the rider.
+            a ``.toml`` file (see :func:`read_transporter`), or its values; or a spec of your own.
+        robot: spec of the robot.
 
     Raises:
         UnknownNameError: for an unknown name.
@@ -256,7 +256,7 @@ def get_transporter(transporter: str | Path | Mapping[str, Any] | TransporterSpe
 
 
 def read_transporter(path: str | Path) -> TransporterSpec:
-    """A transporter described by a TOML file, whose keys are the fields of :class:`TransporterSpec`.
+    """Read a transporter from a TOML file, whose keys are the fields of :class:`TransporterSpec`.
 
     Args:
         path: of the file; ``design`` in it is ``"single_board"``, ``"two_board"`` or another registered
@@ -276,16 +276,16 @@ def read_transporter(path: str | Path) -> TransporterSpec:
 
 
 def _convert(values: dict[str, Any]) -> None:
-    """Replace the name of a design by the design; one that is unknown stays, and is refused by name."""
+    """Replace the name of a design by the design; an unknown name stays, and is rejected by name."""
     if isinstance(values["design"], str):
         name = values["design"]
         values["design"] = DESIGNS.get(name) if name in DESIGNS else name
 
 
 def describe_transporter(transporter: TransporterSpec) -> str | dict[str, Any]:
-    """What :func:`get_transporter` makes the same transporter of elsewhere, as plain values.
+    """Return the argument from which :func:`get_transporter` makes the same transporter, as plain values.
 
-    Its name if it is registered, or has boards of its own; otherwise what a file of it would hold.
+    Its name if it is registered, or has custom boards; otherwise the values of a file of it.
     """
     if transporter.name in TRANSPORTERS.names() and TRANSPORTERS.get(transporter.name) == transporter:
         return transporter.name

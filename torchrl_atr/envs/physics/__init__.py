@@ -1,4 +1,4 @@
-"""Engines: N simulations of a scene under one contract, and what a task does before every substep."""
+"""Engines: N simulations of a scene behind one interface, and a task's hook before every substep."""
 
 from torchrl_atr.envs.physics.choice import PhysicsEngine, make_engine
 from torchrl_atr.envs.physics.engine import CONTROL_DT, DECIMATION, Engine, ModelFields

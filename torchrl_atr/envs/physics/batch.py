@@ -1,4 +1,4 @@
-"""The batched engine: N robots on ``mujoco.batch``, each with its own parameters, on all CPUs."""
+"""Batched engine: N robots on ``mujoco.batch``, each with its own parameters, on all CPUs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 
 
 class BatchEngine(Engine):
-    """``mujoco.batch.Batch`` under the common interface; results do not depend on the number of threads.
+    """Engine on ``mujoco.batch.Batch``; results do not depend on the number of threads.
 
     Args:
         scene: the compiled scene.
@@ -70,13 +70,13 @@ class BatchEngine(Engine):
         self._disabled = self.batch.expand("opt.disableflags")
 
     def _substep(self, last: bool) -> None:
-        self._sense(last)  # sensors are a fourteenth of a step, and nobody reads those of the first ones
-        # a simulation that fails keeps its state and time, which marks it as diverged, while the others go on
+        self._sense(last)  # sensors are a fourteenth of a step's cost, and only those of the last substep are read
+        # a simulation that fails keeps its state and time, which marks it as diverged, while the others continue
         with contextlib.suppress(mujoco.batch.SimulationError):
             self.batch.step(nstep=1)
 
     def _sense(self, wanted: bool) -> None:
-        """Have MuJoCo compute sensors from here on, or not."""
+        """Enable or disable MuJoCo's computation of sensors."""
         if wanted:
             self._disabled &= ~_NO_SENSORS
         else:
@@ -89,14 +89,14 @@ class BatchEngine(Engine):
         self.batch.set_const(rows.numpy())
 
     def _restart(self, rows: Tensor, qpos: Tensor, qvel: Tensor) -> None:
-        self._sense(True)  # an interrupt may have left them off
+        self._sense(True)  # an interrupt may have left them disabled
         self.batch.reset(rows.numpy(), keyframe=self._stand, stage=_STATE)
         self.qpos[rows] = qpos
         self.qvel[rows] = qvel
         self.batch.forward(rows.numpy())
 
     def forward(self) -> None:
-        """See :class:`Engine`."""
+        """Recompute all derived quantities, see :class:`Engine`."""
         self._sense(True)
         self.batch.forward()
 
@@ -105,5 +105,5 @@ class BatchEngine(Engine):
         return self.scene, self.num_envs, self.make_hook, self._num_threads
 
     def set_time(self, time: Tensor) -> None:
-        """See :class:`Engine`."""
+        """Write the simulation time, see :class:`Engine`."""
         self.time.copy_(time)

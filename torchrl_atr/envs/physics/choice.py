@@ -1,4 +1,4 @@
-"""Engines by name."""
+"""Choice of an engine by name."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def make_engine(
     num_envs: int,
     num_threads: int | None = None,
 ) -> Engine:
-    """Return an engine by its name.
+    """Return an engine by name.
 
     Args:
         scene: the compiled scene.

@@ -1,4 +1,4 @@
-"""The dm_control engine: one robot on a ``dm_control.mujoco.Physics``, the reference for the batched one."""
+"""Engine of dm_control: one robot on a ``dm_control.mujoco.Physics``, the reference for the batched one."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ except ImportError as error:
 
 
 class EnginePhysics(Physics):
-    """A dm_control ``Physics`` whose every step is an engine's, hook included, whoever calls it.
+    """dm_control ``Physics`` whose steps are those of an engine, hook included, for any caller.
 
     A simulation that diverges does not raise ``PhysicsError``: MuJoCo resets it, ``engine.diverged`` says so, and the
-    task ends the episode. Made by :class:`DmControlEngine`; a ``copy()`` renders but does not step.
+    task ends the episode. Created by :class:`DmControlEngine`; a ``copy()`` renders but does not step.
 
     Attributes:
-        engine: owns this physics.
+        engine: owner of this physics.
     """
 
     engine: DmControlEngine | None = None
@@ -53,7 +53,7 @@ class EnginePhysics(Physics):
 
 
 class DmControlEngine(Engine):
-    """One robot under the common interface; its arrays are (1, n), the state's live views of dm_control's.
+    """Engine of one robot; its arrays are (1, n), the state's are live views of dm_control's.
 
     Args:
         scene: the compiled scene; the engine randomises a copy of its model.
@@ -92,11 +92,11 @@ class DmControlEngine(Engine):
 
     @property
     def time(self) -> Tensor:  # type: ignore[override]  # MuJoCo's scalar has no array to view
-        """See :class:`Engine`."""
+        """Simulation time, see :class:`Engine`."""
         return torch.tensor([self._data.time], dtype=torch.float64)
 
     def advance(self, substeps: int) -> None:
-        """See :class:`Engine`; leaves position and velocity quantities current, as dm_control does."""
+        """Advance, see :class:`Engine`; leave position and velocity quantities current, as dm_control does."""
         super().advance(substeps)
         mujoco.mj_step1(self._model, self._data)
 
@@ -118,9 +118,9 @@ class DmControlEngine(Engine):
         self._place_floor()
 
     def _place_floor(self) -> None:
-        """Move the floor under the robot, backwards: whoever renders this physics sees how far it went."""
+        """Move the floor under the robot, backwards, so that renderings of this physics show the distance travelled."""
         origin = self.scene.model.geom_pos[self._floor, :2]
-        # mj_setConst notes what stands at its body's origin, and MuJoCo then looks at its place no more
+        # mj_setConst marks geoms at their body's origin, and MuJoCo then ignores their positions
         self._model.geom_sameframe[self._floor] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
         self._model.geom_pos[self._floor, :2] = origin - near_origin(self.world_offset.numpy(), self._period)
 
@@ -132,7 +132,7 @@ class DmControlEngine(Engine):
         self.forward()
 
     def forward(self) -> None:
-        """See :class:`Engine`."""
+        """Recompute all derived quantities, see :class:`Engine`."""
         mujoco.mj_forward(self._model, self._data)
         self._read_sensors()
 
@@ -141,10 +141,10 @@ class DmControlEngine(Engine):
         return self.scene, self.make_hook
 
     def set_time(self, time: Tensor) -> None:
-        """See :class:`Engine`."""
+        """Write the simulation time, see :class:`Engine`."""
         self._data.time = float(time[0])
 
 
 def _row(array: NDArray[Any]) -> Tensor:
-    """Return an array of the one simulation with a leading axis, in the same memory."""
+    """Return an array with a leading axis of one simulation, in the same memory."""
     return torch.from_numpy(array[None])

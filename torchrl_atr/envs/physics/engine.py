@@ -1,7 +1,7 @@
-"""What all engines share: the control step with its substep hook, recentring, per-simulation fields, state.
+"""Base class of engines: control step with its substep hook, recentring, per-simulation fields, state.
 
-An engine speaks tensors on its device. ``batch`` (N robots on all CPUs) and ``dm_control`` (one robot, the reference)
-share memory with MuJoCo; one on a GPU keeps its own.
+An engine takes and returns tensors on its device. ``batch`` (N robots on all CPUs) and ``dm_control`` (one robot, the
+reference) share memory with MuJoCo; one on a GPU has its own.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ _STATE = ("qpos", "qvel", "ctrl", "warmstart", "world_offset")
 
 
 class ModelFields(dict[str, Tensor]):
-    """Fields of the compiled model, such as ``body_mass``, of several simulations, (N, ...) each.
+    """Mapping of fields of the compiled model, such as ``body_mass``, of several simulations, (N, ...) each.
 
-    A field is there from when it is first asked for; what is assigned to one is written into it.
+    A field is created at its first access; values assigned to it are written in place.
 
     Args:
         expand: makes a field one per simulation, by name.
 
     Raises:
-        InputError: for a name that is no field which can differ between simulations, or values of another shape.
+        InputError: for a name that is not a field which can differ between simulations, or values of another shape.
     """
 
     def __init__(self, expand: Callable[[str], Tensor]) -> None:
@@ -65,31 +65,31 @@ class ModelFields(dict[str, Tensor]):
         field = self[name]
         if tuple(value.shape) != tuple(field.shape):
             raise InputError(f"the field {name!r} is of {tuple(field.shape)}, not {tuple(value.shape)}")
-        if value is not field:  # as after an operation in place
+        if value is not field:  # the same after an operation in place
             field.copy_(value)
 
 
 class Engine(ABC):
-    """N simulations of one scene, advanced by control steps.
+    """Engine: N simulations of one scene, advanced by control steps.
 
     Subclasses provide the tensors below, each with a leading axis of N, and the abstract methods.
 
     Args:
         scene: the compiled scene.
         num_envs: N.
-        make_hook: called with the engine, gives what acts before every substep; None for nothing. It must be picklable
-            where engines are copied or sent to other processes.
+        make_hook: called with the engine, returns the hook that acts before every substep; None for nothing. It must be
+            picklable where engines are copied or sent to other processes.
 
     Attributes:
         device: of all tensors.
         qpos, qvel, ctrl, qfrc_applied: live state, (N, nq | nv | nu | nv), float64.
-        time: live simulation time, s, (N,); MuJoCo starts it anew when it resets a diverged simulation.
+        time: live simulation time, s, (N,); MuJoCo sets it to zero when it resets a diverged simulation.
         warmstart: the solver's warm start, live, (N, nv): part of the state that bit-identical continuation needs.
         sensordata: sensor readings of the state that the last substep began with, (N, nsensordata).
         actuator_force: joint torques of the last substep in MJCF actuator order, N m, (N, nu).
         torque_velocity: joint velocities when ``actuator_force`` was computed, in the spec's joint order, rad/s,
             (N, 12): a torque times a later velocity is no power.
-        world_offset: where the recentred frame is in the world, m, (N, 2), since ``qpos`` is kept near the origin.
+        world_offset: world position of the recentred frame, m, (N, 2), since ``qpos`` is kept near the origin.
         diverged: simulations that MuJoCo reset or refused to step during the last :meth:`advance`, (N,) bool.
         fields: live per-simulation values of fields of the compiled model.
         hook: acts before every substep.
@@ -122,11 +122,11 @@ class Engine(ABC):
 
     @abstractmethod
     def _make(self) -> None:
-        """Make the simulations and their tensors."""
+        """Create the simulations and their tensors."""
 
     @abstractmethod
     def _substep(self, last: bool) -> None:
-        """Make one simulation step; what it derives is of the state it began with. Sensors are read after the last."""
+        """Make one simulation step; derived quantities are of its initial state. Sensors are read after the last."""
 
     @abstractmethod
     def _warnings(self) -> NDArray[np.int64]:
@@ -134,11 +134,11 @@ class Engine(ABC):
 
     @abstractmethod
     def _refresh_constants(self, rows: Tensor) -> None:
-        """Derive anew what MuJoCo computes from :attr:`fields` (``mj_setConst``)."""
+        """Recompute the constants that MuJoCo derives from :attr:`fields` (``mj_setConst``)."""
 
     @abstractmethod
     def _restart(self, rows: Tensor, qpos: Tensor, qvel: Tensor) -> None:
-        """Reset ``rows`` to the given state with ctrl = q0 and compute all that follows from it."""
+        """Reset ``rows`` to the given state with ctrl = q0 and compute all derived quantities."""
 
     @abstractmethod
     def forward(self) -> None:
@@ -167,14 +167,14 @@ class Engine(ABC):
                 if number == substeps:
                     self.torque_velocity.copy_(self.qvel[:, self._joints])
                 self._substep(last=number == substeps)
-        # MuJoCo's own reset also zeroes the counts: a second divergence in a row shows in the time alone
+        # MuJoCo's own reset also zeroes the counts: only the time reveals a second divergence in a row
         warned_anew = torch.from_numpy((self._warnings()[:, _DIVERGED] > warned).any(axis=1))
         self.diverged = warned_anew | ((self.time - expected).abs() > 0.5 * TIMESTEP)
         if self.diverged.any():
             self.hook.lose(self.diverged)
 
     def nominal(self, name: str) -> Tensor:
-        """Return a field of the nominal model, float64, to read."""
+        """Return a field of the nominal model, float64, read-only."""
         if name not in self._nominal:
             self._nominal[name] = torch.from_numpy(np.array(_field(self.scene.model, name)))
         return self._nominal[name]
@@ -188,8 +188,8 @@ class Engine(ABC):
             rows: which simulations, (n,) integers; the others are left exactly as they are.
             qpos: (n, nq).
             qvel: (n, nv).
-            write: writes the parameters of those rows into fields of theirs, (n, ...) each, in which it finds the
-                nominal values; None leaves the fields as they are.
+            write: writes the parameters of those rows into their fields, (n, ...) each, which hold the nominal
+                values; None leaves the fields as they are.
         """
         if write is not None:
             fresh = ModelFields(lambda name: torch.stack([self.nominal(name)] * len(rows)))
@@ -204,7 +204,7 @@ class Engine(ABC):
         self.hook.start(rows)
 
     def _recentre(self) -> None:
-        """Move all back to the origin: physics is translation invariant, floats are not."""
+        """Move all simulations back to the origin: physics is translation invariant, floats are not."""
         if not len(self.scene.layout.origin_qpos):
             return
         offset = self.qpos[:, self._origin].clone()
@@ -214,7 +214,7 @@ class Engine(ABC):
 
     @property
     def live_state(self) -> dict[str, Tensor]:
-        """The tensors that make up the state, not copied; stale after the next step."""
+        """Tensors of the state, not copied; stale after the next step."""
         return {**{name: getattr(self, name) for name in _STATE}, **self.hook.state}
 
     def get_state(self) -> dict[str, Tensor]:
@@ -238,20 +238,20 @@ class Engine(ABC):
             target.copy_(state[name])
         self.forward()
         self.torque_velocity.copy_(self.qvel[:, self._joints])
-        for name, target in live.items():  # MuJoCo wrote a new warm start, and began anew where a state is not finite
+        for name, target in live.items():  # MuJoCo wrote a new warm start, and reset where a state is not finite
             target.copy_(state[name])
 
     @property
     @abstractmethod
     def _arguments(self) -> tuple[Any, ...]:
-        """Arguments that the constructor was called with."""
+        """Arguments of the constructor."""
 
     @abstractmethod
     def set_time(self, time: Tensor) -> None:
         """Write the simulation time, s, (N,)."""
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return constructor arguments and numbers: MuJoCo's own objects can neither be pickled nor copied."""
+        """Return constructor arguments and state: MuJoCo's own objects can neither be pickled nor copied."""
         return {
             "arguments": self._arguments,
             "fields": {name: value.clone() for name, value in self.fields.items()},
@@ -261,7 +261,7 @@ class Engine(ABC):
         }
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
-        """Build the simulations anew and bring them to where the original's were; sensors are of that state."""
+        """Build the simulations anew and restore their state; sensors are of that state."""
         self.__init__(*saved["arguments"])  # type: ignore[misc]
         rows = torch.arange(self.num_envs)
         for name, value in saved["fields"].items():
@@ -281,7 +281,7 @@ def _field(model: mujoco.MjModel, name: str) -> NDArray[Any]:
 
 
 def shared(array: NDArray[Any]) -> Tensor:
-    """Return a tensor of the same memory, of an array that is only to be read too."""
+    """Return a tensor that shares the memory of an array, also of a read-only one."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="The given NumPy array is not writable")
         return torch.from_numpy(array)

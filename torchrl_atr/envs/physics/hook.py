@@ -1,4 +1,4 @@
-"""What a task does to the simulations before every substep."""
+"""Hook of a task that acts on the simulations before every substep."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 
 
 class SubstepHook:
-    """Acts on an engine before each of its substeps; this one does nothing, subclasses drive a transporter and such.
+    """Base class of hooks that act on an engine before each substep; this one does nothing.
 
     Args:
-        engine: whose tensors it reads and writes.
+        engine: engine whose tensors the hook reads and writes.
 
     Attributes:
         state: the hook's own live state by name, (N, ...) each, float64; part of the engine's state.
@@ -37,25 +37,25 @@ class SubstepHook:
         self.refresh(rows)
 
     def refresh(self, rows: Tensor) -> None:
-        """Derive anew what follows from the engine's fields for ``rows``, (n,)."""
+        """Recompute values that depend on the engine's fields for ``rows``, (n,)."""
 
     def apply(self, dt: float) -> None:
-        """Act on all simulations before a substep of ``dt`` seconds, such as by ``engine.qfrc_applied``."""
+        """Act on all simulations before a substep of ``dt`` seconds, for example by ``engine.qfrc_applied``."""
 
     def lose(self, rows: Tensor) -> None:
-        """Forget what was known of simulations that diverged, (N,) bool."""
+        """Clear the hook's state of simulations that diverged, (N,) bool."""
 
 
 def check_hook(hook: Any, num_envs: int, taken: Collection[str]) -> None:
-    """Check what was made as the hook of an engine.
+    """Check the hook of an engine.
 
     Args:
-        hook: what was made.
+        hook: to check.
         num_envs: N.
         taken: names of the engine's own state.
 
     Raises:
-        InputError: if it is no :class:`SubstepHook`, or its state has no rows for N robots or a name that is taken.
+        InputError: if it is not a :class:`SubstepHook`, or its state has not N rows or a name that is taken.
     """
     if not isinstance(hook, SubstepHook):
         raise InputError(f"a task's hook made {hook!r} of an engine; give a subclass of SubstepHook")

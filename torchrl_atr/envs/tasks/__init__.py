@@ -1,4 +1,4 @@
-"""Tasks as data: the classes of their terms, and the tasks that come with the package."""
+"""Tasks as data: the classes of their terms, and the package's tasks."""
 
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.events import Disturbance, InitialState

@@ -1,4 +1,4 @@
-"""What the terms of a task look at."""
+"""Input of the terms of a task."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from torchrl_atr.envs.tasks.sensor_errors import GroupErrors
 
 @dataclass
 class StepContext:
-    """A control step of N robots: the input of reward, observation, termination and memory terms.
+    """Control step of N robots: the input of reward, observation, termination and memory terms.
 
-    At the start of an episode the actions are zero and nobody has terminated.
+    At the start of an episode the actions are zero and ``terminated`` is false.
 
     Attributes:
         state: after the step, a :class:`~torchrl_atr.envs.tasks.state.QuadrupedState` or the task's own subclass of it.
@@ -28,10 +28,10 @@ class StepContext:
         previous_action: a_{t-1}, (N, 12).
         terminated: early terminations, (N,) bool.
         scene: robot, support and their compiled nominal model.
-        readings: the paper's open questions.
-        memory: what is carried from step to step, by name, (N, size) each; memory terms see the step before.
+        readings: answers to the paper's open questions.
+        memory: values of the memory terms, by name, (N, size) each; memory terms see the step before.
         observations: the task's groups of observation terms, by key and name; for :meth:`sensed`.
-        errors: of the sensors at this step, by the key of the group; none of groups that are exact.
+        errors: of the sensors at this step, by the key of the group; exact groups are left out.
     """
 
     state: Any
@@ -47,11 +47,11 @@ class StepContext:
 
     @property
     def robot(self) -> RobotSpec:
-        """The robot's spec."""
+        """Spec of the robot."""
         return self.scene.robot
 
     def sensed(self, name: str, key: NestedKey = "proprio") -> Tensor:
-        """Return an observation term as it is observed: with noise, bias and delay, (N, D).
+        """Return an observation term as observed: with noise, bias and delay, (N, D).
 
         Memory terms that stand for a computation on the robot, such as dead reckoning, read this and not the state.
 

@@ -1,4 +1,4 @@
-"""Velocity by dead reckoning: what a robot computes from its IMU, three ways."""
+"""Velocity by dead reckoning from the robot's IMU: three methods."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ LEAK_TIME = 10.0
 BIAS, BIAS_TIME = 0.05, 100.0
 """Standard deviation (m/s²) and correlation time (s) of the accelerometer bias that the filter assumes."""
 ACCELERATION_NOISE = 0.1
-"""Standard deviation of the accelerometer's white noise that it assumes, m/s²."""
+"""Standard deviation of the accelerometer's white noise that the filter assumes, m/s²."""
 START_STD = 0.01
-"""Standard deviation of the velocity that an episode starts with, m/s."""
+"""Standard deviation of the velocity at the start of an episode, m/s."""
 SIDE_SLIP = 1.0
 """Standard deviation of the speed to the side, taken as a measurement of zero at every step, m/s.
 
@@ -39,7 +39,7 @@ measurements does not know. Of 0.5, 1, 2 and 4 m/s this one has the smallest err
 
 
 def _start(c: StepContext) -> Tensor:
-    """Return v_B in the body frame, m/s, (n, 3): an episode knows the velocity that it starts with."""
+    """Return v_B in the body frame, m/s, (n, 3): the velocity at the start of an episode is taken as known."""
     return rotate_back(c.state.rotation, c.state.velocity)
 
 
@@ -53,7 +53,7 @@ def _acceleration(c: StepContext) -> Tensor:
 
 
 def integral(c: StepContext, key: str = KEY) -> Tensor:
-    """Integrate the measured acceleration: the velocity before, turned back by ω_B dt, plus v̇_B dt.
+    """Integrate the measured acceleration: the previous velocity, rotated back by ω_B dt, plus v̇_B dt.
 
     Exact with exact sensors; the bias of a real accelerometer, 0.05 m/s², makes it drift by 3 m/s in a minute.
 
@@ -69,7 +69,7 @@ def integral(c: StepContext, key: str = KEY) -> Tensor:
 
 
 def leaky_integral(c: StepContext, key: str = KEY) -> Tensor:
-    """Integrate likewise, and forget with :data:`LEAK_TIME`: errors stay bounded, steady speeds fade.
+    """Integrate likewise, with a leak of :data:`LEAK_TIME`: errors stay bounded, steady speeds decay.
 
     Returns:
         (N, 3), body frame, m/s.
@@ -78,11 +78,11 @@ def leaky_integral(c: StepContext, key: str = KEY) -> Tensor:
 
 
 def kalman_filter(c: StepContext, key: str = KEY) -> Tensor:
-    """Estimate velocity and accelerometer bias with a Kalman filter that knows: a transporter does not move sideways.
+    """Estimate velocity and accelerometer bias with a Kalman filter under the constraint of no sideways motion.
 
     The state is [v_x, v_y, b_x, b_y] in the frame that turns with the body's yaw ψ and is level: v̇ = a - b - ψ̇ × v, and
     b is a Gauss-Markov process. At every step v_y = 0 is taken as measured, the nonholonomic constraint of wheeled
-    vehicles: in a turn, the acceleration to the side is ψ̇ v_x, so that a wrong v_x shows, and so does b.
+    vehicles: in a turn, the lateral acceleration is ψ̇ v_x, which makes errors of v_x, and of b, observable.
 
     Args:
         c: its memory ``key`` is the state (4) and its covariance (16), (N, 20).
@@ -119,7 +119,7 @@ def _level(c: StepContext) -> tuple[Tensor, Tensor]:
 
 
 def _transition(yaw_rate: Tensor) -> Tensor:
-    """Return F of the state, (N, 4, 4): v - b dt turned back by the yaw of the step, and the bias that stays."""
+    """Return F of the state, (N, 4, 4): v - b dt rotated back by the yaw of the step, and the constant bias."""
     angle = CONTROL_DT * yaw_rate
     cosine, sine, zero = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)
     keep = torch.full_like(angle, _KEEP)
@@ -133,7 +133,7 @@ def _transition(yaw_rate: Tensor) -> Tensor:
 
 
 def _start_filter(c: StepContext) -> Tensor:
-    """Return the state and covariance of episodes that start, (n, 20): a known velocity, an unknown bias."""
+    """Return state and covariance at the start of episodes, (n, 20): a known velocity, an unknown bias."""
     heading = c.state.euler.clone()
     heading[:, :2] = 0.0
     velocity = rotate_back(matrix_from_euler(*heading.unbind(-1)), c.state.velocity)[:, :2]
@@ -165,7 +165,7 @@ METHODS: Mapping[str, _Method] = {
     "leaky_integral": _Method(3, leaky_integral, _start, _velocity, mirrors.POLAR, ("x", "y", "z")),
     "kalman_filter": _Method(20, kalman_filter, _start_filter, _filtered, (1.0, -1.0, 1.0), ("x", "y", "std")),
 }
-"""By name; what each observes is (N, 3), m/s."""
+"""Methods by name; each observes (N, 3), m/s."""
 
 
 def dead_reckoning(method: str = "kalman_filter", key: str = KEY) -> tuple[Group, MemoryTerm]:

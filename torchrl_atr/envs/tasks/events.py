@@ -1,4 +1,4 @@
-"""How episodes begin and end, and what happens to robots in between, as data."""
+"""Initial states, disturbances and terminations of episodes, as data."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from torchrl_atr.envs.physics.engine import CONTROL_DT, Engine
 from torchrl_atr.envs.tasks.context import StepContext
 
 HEIGHT_SPREAD = 0.02
-"""How far above the stand robots start at most, m."""
+"""Largest initial height above the standing pose, m."""
 JOINT_SPREAD = 0.05
-"""How far from q0 joints start at most, rad."""
+"""Largest initial deviation of a joint angle from q0, rad."""
 Termination = Callable[[StepContext], Tensor]
-"""Which robots' episodes end early, (N,) bool; the context's ``terminated`` says nothing yet."""
+"""Function of a context that returns the episodes to end early, (N,) bool; ``terminated`` is not set yet."""
 
 
 class InitialState(NamedTuple):
-    """How n episodes start.
+    """Initial states of n episodes.
 
     Attributes:
         qpos: (n, nq), float64.
         qvel: (n, nv), float64.
-        moving: which of them start with part of what is commanded, (n,) bool: their first seconds show no skill, and a
-            curriculum does not score them.
+        moving: which of them start with part of the commanded speeds, (n,) bool: a curriculum does not score their
+            first window, which shows no skill.
     """
 
     qpos: Tensor
@@ -40,16 +40,16 @@ class InitialState(NamedTuple):
 
 
 Reset = Callable[[Scene, Tensor, torch.Generator], InitialState]
-"""From scene, commands (n, C) and a source of randomness to how n episodes start."""
+"""Function of scene, commands (n, C) and a generator that returns the initial states of n episodes."""
 
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What happens to robots again and again.
+    """Periodic disturbance of robots.
 
     Attributes:
         function: ``function(engine, rows, generator)`` changes the live state of ``rows``, (n,) integers.
-        interval: s between two of them, counted from the start of an episode.
+        interval: time between two of them, s, counted from the start of an episode.
 
     Raises:
         InputError: if the function cannot be called, or the interval is not at least a control step.
@@ -69,13 +69,13 @@ class Disturbance:
 
     @property
     def steps(self) -> int:
-        """Control steps between two of them."""
+        """Control steps between two disturbances."""
         return round(self.interval / CONTROL_DT)
 
 
 @dataclass(frozen=True)
 class Pushes(Settings):
-    """How hard and how often robot and transporter are pushed (A33); each push is uniform up to its size.
+    """Sizes and interval of the pushes of robot and transporter (A33); each push is uniform up to its size.
 
     Example:
         >>> Pushes(interval=4.0, robot=1.0).yaw_rate
@@ -95,7 +95,7 @@ class Pushes(Settings):
 
     @staticmethod
     def of(pushes: Pushes | bool) -> Pushes | None:
-        """Return what a task's argument ``pushes`` means: True for the defaults, None for no pushes.
+        """Return the pushes for a task's argument ``pushes``: the defaults for True, None for no pushes.
 
         Raises:
             InputError: for a value of another kind.
@@ -117,13 +117,7 @@ def push_robot(engine: Engine, rows: Tensor, generator: torch.Generator, pushes:
 
 
 def stand(scene: Scene, command: Tensor, generator: torch.Generator) -> InitialState:
-    """Start in the standing pose with slightly randomised height and joint angles, at rest.
-
-    Args:
-        scene: its keyframe ``stand`` is the standing pose.
-        command: (n, C); not read.
-        generator: source of randomness.
-    """
+    """Return n standing poses at rest, with slightly randomised height and joint angles; ``command`` is unused."""
     n, key = len(command), scene.model.key(STAND)
     joints, root = scene.layout.joint_qpos, scene.layout.root_qpos
     draw = torch.rand(n, 1 + len(joints), generator=generator, dtype=torch.float64)
@@ -135,10 +129,10 @@ def stand(scene: Scene, command: Tensor, generator: torch.Generator) -> InitialS
 
 
 def tilted(c: StepContext) -> Tensor:
-    """Body roll or pitch beyond the limit (A34), (N,)."""
+    """Return whether body roll or pitch is beyond the limit (A34), (N,)."""
     return (c.state.euler[:, :2].abs() > c.readings.tilt_limit).any(-1)
 
 
 def too_low(c: StepContext) -> Tensor:
-    """Body too low over the support, (N,)."""
+    """Return whether the body is too low over the support, (N,)."""
     return c.state.position[:, 2] - c.scene.support.height < c.robot.min_height

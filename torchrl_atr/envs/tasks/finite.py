@@ -1,4 +1,4 @@
-"""Find NaN and infinity in a batch."""
+"""Detection of NaN and infinity in a batch."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torchrl_atr._errors import InputError
 
 
 def all_finite(values: Iterable[Tensor]) -> Tensor:
-    """Return whether there is no NaN or infinity in any of them, for the price of one sum: a bool of shape ().
+    """Return whether all values are finite, at the cost of one sum: a bool of shape ().
 
     Example:
         >>> all_finite([torch.ones(2, 3), torch.tensor([[0.0], [float("nan")]])])
@@ -22,7 +22,7 @@ def all_finite(values: Iterable[Tensor]) -> Tensor:
 
 
 def bad_rows(value: Tensor) -> list[int]:
-    """Return rows of an (N, features) entry that hold NaN or infinity; where there is none, mostly for one sum.
+    """Return the rows of an (N, features) entry that hold NaN or infinity; costs one sum if there are none.
 
     Example:
         >>> bad_rows(torch.tensor([[1.0], [float("nan")]])), bad_rows(torch.full((2, 3), 3e38))  # whose sum overflows
@@ -32,14 +32,14 @@ def bad_rows(value: Tensor) -> list[int]:
 
 
 def as_float32(name: str, value: Tensor, shape: tuple[int, ...], what: str, remedy: str) -> Tensor:
-    """Return an entry as float32, of real numbers of any kind, whole ones too; no copy where it is float32.
+    """Return an entry of any real or integer dtype as float32; without a copy if it is float32.
 
     Args:
         name: of the entry, for messages.
-        value: what was given.
-        shape: what it must have.
-        what: what the features are, for the message about the shape.
-        remedy: what to do about values that are not finite.
+        value: the entry.
+        shape: required shape.
+        what: meaning of the features, for the message about the shape.
+        remedy: advice about values that are not finite.
 
     Raises:
         InputError: for another shape, complex numbers, a NaN, an infinity, or a number beyond float32's 3.4e38.
@@ -61,7 +61,7 @@ def as_float32(name: str, value: Tensor, shape: tuple[int, ...], what: str, reme
 
 
 def not_finite(values: Mapping[Any, Tensor]) -> dict[int, str]:
-    """Return rows that hold NaN or infinity, with the entry where it shows first.
+    """Return the rows that hold NaN or infinity, with the first such entry of each.
 
     Args:
         values: by key, (N, features) each.

@@ -1,4 +1,4 @@
-"""Intrinsic parameters as data: what is drawn for every robot, and how it reaches the compiled model."""
+"""Intrinsic parameters as data: distributions of per-episode parameters, and functions that write them to the model."""
 
 from __future__ import annotations
 
@@ -19,29 +19,28 @@ from torchrl_atr.envs.tasks.mirrors import Mirror
 Randomization = Literal["train", "test", "off"]
 RANDOMIZATIONS: tuple[Randomization, ...] = ("train", "test", "off")
 Apply = Callable[[ModelFields, Tensor, Scene], None]
-"""Writes a parameter's values (n, size) into fields of n models; see :class:`IntrinsicParameter`."""
+"""Function that writes a parameter's values (n, size) into fields of n models; see :class:`IntrinsicParameter`."""
 
 
 class IntrinsicError(InputError):
-    """An intrinsic parameter that cannot be used; the message names it."""
+    """Error of an intrinsic parameter that cannot be used; the message names it."""
 
 
 @dataclass(frozen=True)
 class IntrinsicParameter:
-    """A parameter of robot or support that is drawn for every episode and that the policy does not see.
+    """Parameter of robot or support that is drawn for every episode and hidden from the policy.
 
     Attributes:
         apply: ``apply(fields, value, scene)`` writes the values (n, size), float64, into the fields of n models,
-            (n, ...) each, in which it finds the nominal ones and what other parameters wrote.
+            (n, ...) each, which hold the nominal values, with the changes of earlier parameters.
         train: training range, of every component.
         test: testing range; the training range by default.
         nominal: the value without randomisation; the middle of the training range by default.
         size: number of components; ``"joints"`` for one per leg joint.
-        mirror: its mirror image, which symmetric networks need; see
-            :class:`~torchrl_atr.envs.tasks.observation_terms.ObservationTerm`. Unchanged by default.
+        mirror: its mirror image, for symmetric networks, as of an ``ObservationTerm``; unchanged by default.
 
     Raises:
-        IntrinsicError: if ``apply`` cannot be called, a range is none, or ``size`` or ``nominal`` no number.
+        IntrinsicError: if ``apply`` cannot be called, a range is invalid, or ``size`` or ``nominal`` is not a number.
 
     Example:
         >>> def friction_loss(fields, value, scene):
@@ -74,7 +73,7 @@ class IntrinsicParameter:
             raise IntrinsicError(f"{error} (of an intrinsic parameter)") from None
 
     def scaled(self, value: float) -> float:
-        """Map the training range to [-1, 1]."""
+        """Return a value scaled so that the training range is [-1, 1]."""
         low, high = self.train
         return (2.0 * value - low - high) / (high - low)
 
@@ -88,18 +87,18 @@ def _is_range(ends: Any) -> bool:
 
 
 class Intrinsics:
-    """The intrinsic parameters of an env: x_int.
+    """Intrinsic parameters of an env: x_int.
 
     Args:
         parameters: by name.
         scene: robot and support.
 
     Attributes:
-        slices: where each parameter stands in x_int.
+        slices: columns of x_int by parameter.
         size: of x_int.
 
     Raises:
-        IntrinsicError: names what is no :class:`IntrinsicParameter`, or one whose mirror image has another size.
+        IntrinsicError: names what is not an :class:`IntrinsicParameter`, or has a mirror image of another size.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene
@@ -135,15 +134,12 @@ class Intrinsics:
         return torch.tensor(scaled, dtype=torch.float32).reshape(-1, 2).repeat_interleave(sizes, 0).T
 
     def sample(self, n: int, randomization: Randomization, generator: torch.Generator) -> Tensor:
-        """Draw x_int for n robots.
+        """Draw x_int for n robots, (n, size) float32, each component scaled so that its training range is [-1, 1].
 
         Args:
-            n: how many.
+            n: number of robots.
             randomization: ``"train"`` or ``"test"`` range, or ``"off"`` for the nominal values.
             generator: source of randomness.
-
-        Returns:
-            (n, size) float32, each component scaled so that its training range is [-1, 1].
 
         Raises:
             ValueError: for another ``randomization``.
@@ -153,11 +149,7 @@ class Intrinsics:
         return low + (high - low) * torch.rand(n, self.size, generator=generator, dtype=torch.float32)
 
     def values(self, x_int: Tensor) -> dict[str, Tensor]:
-        """Return the values by name, (n, size of each) float64: the inverse of the scaling.
-
-        Args:
-            x_int: (n, size).
-        """
+        """Return the values of x_int, (n, size), by name, (n, size of each) float64: the inverse of the scaling."""
         low, high = self._train
         values = low + (x_int.double() + 1.0) * (high - low) / 2.0
         return {name: values[:, part] for name, part in self.slices.items()}
@@ -177,7 +169,7 @@ class Intrinsics:
 
     @property
     def reflection(self) -> Tensor:
-        """The mirror image R of x_int, (size, size)."""
+        """Reflection matrix R of x_int, (size, size)."""
         return torch.block_diag(*(self._mirror(name) for name in self.parameters)) if self.size else torch.zeros(0, 0)
 
     def _mirror(self, name: str) -> Tensor:

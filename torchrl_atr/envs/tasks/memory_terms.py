@@ -1,4 +1,4 @@
-"""Memory terms as data: quantities of every robot that are carried from one control step to the next."""
+"""Memory terms as data: per-robot quantities that are carried from one control step to the next."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from torchrl_atr.envs.tasks.context import StepContext
 
 
 class MemoryTermError(InputError):
-    """A memory term that cannot be used; the message names it."""
+    """Error of a memory term that cannot be used; the message names it."""
 
 
 @dataclass(frozen=True)
 class MemoryTerm:
-    """A quantity that is carried from step to step, such as a clock or the time that a foot has been in the air.
+    """Quantity that is carried from step to step, such as a clock or the time that a foot has been in the air.
 
     It is updated before observations and rewards, which see the new value.
 
@@ -38,10 +38,10 @@ class MemoryTerm:
 
 
 def started(terms: Mapping[str, MemoryTerm], context: StepContext) -> dict[str, Tensor]:
-    """Return the memory of episodes that start, (n, D) by name.
+    """Return the memory at the start of episodes, (n, D) by name.
 
     Raises:
-        MemoryTermError: names the term that is none, or whose value has another shape.
+        MemoryTermError: names the term that is not a :class:`MemoryTerm`, or whose value has another shape.
     """
     n, memory = len(context.command), {}
     for name, term in terms.items():
@@ -59,7 +59,7 @@ def check(terms: Mapping[str, MemoryTerm], context: StepContext) -> None:
     """Try every term on N robots.
 
     Raises:
-        MemoryTermError: names the term that is no :class:`MemoryTerm`, fails, or returns another shape.
+        MemoryTermError: names the term that is not a :class:`MemoryTerm`, fails, or returns another shape.
     """
     for name, term in terms.items():
         if not isinstance(term, MemoryTerm):

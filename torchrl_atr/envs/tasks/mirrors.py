@@ -1,4 +1,4 @@
-"""Mirror images: how a reflection in the robot's sagittal plane acts on what is observed and done."""
+"""Mirror images: reflections of observations and actions in the robot's sagittal plane."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS
 from torchrl_atr.envs.models.scene import Scene
 
 Mirror = Sequence[float] | Callable[[Scene], Tensor]
-"""The mirror image R x of a quantity x of D components: signs, (D,), if R is diagonal, or a function of the scene that
+"""Mirror image R x of a quantity x of D components: signs, (D,), if R is diagonal, or a function of the scene that
 returns R, (D, D), such as :func:`joints`."""
 POLAR, AXIAL = (1.0, -1.0, 1.0), (-1.0, 1.0, -1.0)
 """Signs of a vector's components (forward, left, up): a position or velocity, and an angular velocity."""
@@ -30,11 +30,11 @@ def matrix(mirror: Mirror, scene: Scene, size: int, what: str, error: type[Input
         mirror: see :data:`Mirror`.
         scene: robot and support.
         size: D.
-        what: whose mirror image it is, for messages.
-        error: what to raise.
+        what: name of the quantity, for messages.
+        error: exception type to raise.
 
     Raises:
-        InputError: (or ``error``) names what has a mirror image of another size, or one that is none: R is a signed
+        InputError: (or ``error``) names the quantity whose mirror image has another size or is invalid: R is a signed
             permutation that undoes itself.
         RobotError, TransporterError: see :func:`joints`.
 
@@ -49,7 +49,7 @@ def matrix(mirror: Mirror, scene: Scene, size: int, what: str, error: type[Input
         image = torch.as_tensor(made, dtype=torch.float32)
     except UserError:  # of a robot that is not symmetric
         raise
-    except Exception as failure:  # of the user's function, or of what is no list of signs
+    except Exception as failure:  # of the user's function, or of a value that is not a list of signs
         reason = f"{type(failure).__name__}: {first_line(failure)}"
         raise error(f"the mirror image of {what} failed: {reason}; give signs, or a function of the scene") from failure
     if tuple(image.shape) != (size, size):
@@ -62,12 +62,12 @@ def matrix(mirror: Mirror, scene: Scene, size: int, what: str, error: type[Input
 
 
 def legs(scene: Scene) -> Tensor:
-    """Return R of one number a leg, (4, 4): front left for front right, and so on."""
+    """Return R of one number per leg, (4, 4): front left for front right, and so on."""
     return _sides_swapped()
 
 
 def joints(scene: Scene) -> Tensor:
-    """Return R of one angle a joint, (12, 12); a hinge's sign follows from its axis and its partner's.
+    """Return R of one angle per joint, (12, 12); a hinge's sign follows from its axis and its partner's.
 
     Raises:
         RobotError: if the left legs are not the mirror image of the right ones, in geometry, masses or joints.
@@ -97,7 +97,7 @@ def joints(scene: Scene) -> Tensor:
 
 
 def joint_gains(scene: Scene) -> Tensor:
-    """Return R of one positive number a joint, (12, 12): sides change places, signs stay.
+    """Return R of one positive number per joint, (12, 12): sides are swapped, signs stay.
 
     Raises:
         RobotError: see :func:`joints`.
@@ -106,7 +106,7 @@ def joint_gains(scene: Scene) -> Tensor:
 
 
 def _eye(size: int) -> Tensor:
-    """Return the identity, float32 whatever torch's default."""
+    """Return the identity matrix as float32, whatever torch's default dtype."""
     return torch.eye(size, dtype=torch.float32)
 
 

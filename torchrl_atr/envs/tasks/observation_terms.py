@@ -1,4 +1,4 @@
-"""Observation terms as data, and the groups that make up what is observed."""
+"""Observation terms as data, and the groups of an env's observations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.mirrors import Mirror
 
 INTRINSIC = ("privileged", "intrinsic")
-"""Key of the intrinsic parameters, which are data of their own."""
+"""Key of the intrinsic parameters, which are not observation terms."""
 RESERVED = (
     "command",
     "observation",
@@ -30,23 +30,23 @@ RESERVED = (
     "terminated",
     "truncated",
 )
-"""What every env reads or writes at its root besides the groups."""
+"""Entries that every env reads or writes at its root besides the groups."""
 
 
 class ObservationError(InputError):
-    """An observation term that cannot be used; the message names it."""
+    """Error of an observation term that cannot be used; the message names it."""
 
 
 @dataclass(frozen=True)
 class ObservationTerm:
-    """A component of what is observed.
+    """Component of an observation.
 
     Attributes:
         function: from a :class:`~torchrl_atr.envs.tasks.context.StepContext` to (N, D) floats, raw SI units.
         mirror: its mirror image, which symmetric networks need: D signs, or a function of the scene that returns a
             matrix (D, D), such as :func:`~torchrl_atr.envs.tasks.mirrors.joints`; None if there is none.
-        label: what tables call it; its key by default.
-        parts: what tables call its components, such as ``"xyz"``.
+        label: its name in tables; its key by default.
+        parts: names of its components in tables, such as ``"xyz"``.
         unit: of all of them.
         noise: standard deviation of white noise that is added at every step, in its unit.
         bias: standard deviation of an error that is drawn for every episode, in its unit.
@@ -88,27 +88,27 @@ class ObservationTerm:
 
     @property
     def has_errors(self) -> bool:
-        """Whether it is observed with an error."""
+        """Flag of a term that is observed with an error."""
         return bool(self.noise or self.bias or self.delay)
 
 
 Group = Mapping[str, ObservationTerm]
-"""Terms by name, which are concatenated in their order."""
+"""Terms by name, concatenated in their order."""
 
 
 class Observations:
-    """The groups of an env, tried once, and what they come to.
+    """Groups of observation terms of an env, checked once.
 
     Args:
         groups: by key, the terms by name.
-        context: of N robots, on which every term is tried.
+        context: of N robots, on which every term is checked.
 
     Attributes:
         groups: as given.
         sizes: components of every term, by key and name.
 
     Raises:
-        ObservationError: names the term that is no :class:`ObservationTerm`, fails, does not return floats of shape
+        ObservationError: names the term that is not an :class:`ObservationTerm`, fails, does not return floats of shape
             (N, D), or whose mirror image has another size, or the group that is empty or has the key of an entry that
             the env writes.
     """
@@ -129,7 +129,7 @@ class Observations:
         }
 
     def labels(self, key: NestedKey) -> list[tuple[str, str]]:
-        """Return what tables call each component of a group, and its unit."""
+        """Return name in tables and unit of each component of a group."""
         labels = []
         for name, size in self.sizes[key].items():
             term = self.groups[key][name]
@@ -140,11 +140,11 @@ class Observations:
         return labels
 
     def names(self, key: NestedKey) -> list[str]:
-        """Return a name for each component of a group, such as ``contacts[0]``."""
+        """Return a unique name for each component of a group, such as ``contacts[0]``."""
         return [f"{name}[{i}]" for name, size in self.sizes[key].items() for i in range(size)]
 
     def reflection(self, key: NestedKey, scene: Scene) -> Tensor:
-        """Return the mirror image R of a group, (D, D).
+        """Return the reflection matrix R of a group, (D, D).
 
         Raises:
             ObservationError: names a term that has none, or one of another size.

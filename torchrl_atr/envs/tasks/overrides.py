@@ -1,4 +1,4 @@
-"""Change weights of rewards and ranges of intrinsic parameters of a task, by name."""
+"""Overrides of a task's reward weights and ranges of intrinsic parameters, by name."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchrl_atr.envs.tasks.task import Task
 
 @dataclass(frozen=True)
 class Ranges:
-    """Other ranges of an intrinsic parameter, in its own unit; an empty one stays as it is.
+    """New ranges of an intrinsic parameter, in its own unit; an empty one leaves the range as it is.
 
     Attributes:
         train: lowest and highest value in training.
@@ -34,7 +34,7 @@ def override(task: Task, weights: Mapping[str, float], ranges: Mapping[str, Rang
         ranges: by intrinsic parameter.
 
     Raises:
-        InputError: for a term or a parameter that the task does not have, or a range that is none.
+        InputError: for a term or a parameter that the task does not have, or an invalid range.
 
     Example:
         >>> from torchrl_atr.envs.tasks import riding

@@ -1,4 +1,4 @@
-"""Table II's rows that are about the robot and its feet: their ranges, and how they reach the model."""
+"""Table II's rows of the robot and its feet: their ranges, and the functions that write them to the model."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def with_gains(robot: RobotSpec, gains: Gains | None) -> RobotSpec:
 
 
 def gain_arguments(gains: Gains | None) -> dict[str, Any]:
-    """Return what a task's ``arguments`` remember of other gains: nothing of the robot's own."""
+    """Return the entry of a task's ``arguments`` for given gains; empty for the robot's own."""
     return {} if gains is None or not any(gains) else {"gains": list(gains)}
 
 
@@ -80,17 +80,12 @@ def scale_body(fields: ModelFields, body: int, scale: Tensor) -> None:
 
 
 def scaled(function: Apply, unit: float | Tensor, fields: ModelFields, value: Tensor, scene: Scene) -> None:
-    """Apply a parameter whose values are ratios to a nominal of robot or transporter."""
+    """Apply a parameter whose values are ratios to a nominal value of robot or transporter."""
     function(fields, value * unit, scene)
 
 
 def robot_parameters(robot: RobotSpec, readings: Interpretation) -> dict[str, IntrinsicParameter]:
-    """Return Table II's rows that are about the robot and its feet, by name in its order.
-
-    Args:
-        robot: its nominal gains.
-        readings: what the ranges of the PD gains mean (A13).
-    """
+    """Return Table II's rows of the robot and its feet, by name in its order; ``readings`` decide on A13."""
     stiffness, damping = (robot.kp, robot.kd) if readings.gains_as_ratios else (TABLE_II_KP, TABLE_II_KD)
     return {
         "payload": IntrinsicParameter(payload, (0.0, 1.0), (0.0, 3.0), 0.0),

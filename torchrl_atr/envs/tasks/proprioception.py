@@ -1,4 +1,4 @@
-"""What any of the robots senses: o_m = [v̇_B, ω_B, θ_xy, q, q̇] and the last action, and its contacts and velocity."""
+"""Proprioception of all robots: o_m = [v̇_B, ω_B, θ_xy, q, q̇] and the last action; also contacts and velocity."""
 
 from __future__ import annotations
 
@@ -14,44 +14,44 @@ from torchrl_atr.envs.tasks.state import GRAVITY
 
 
 def body_acceleration(c: StepContext) -> Tensor:
-    """v̇_B in the body frame, m/s², (N, 3); with gravity's reaction if the profile asks for an IMU (A18)."""
+    """Return v̇_B in the body frame, m/s², (N, 3); as specific force if the profile asks for an IMU (A18)."""
     if c.readings.gravity_in_acceleration:
         return c.state.body_acceleration + GRAVITY * c.state.rotation[:, 2]
     return c.state.body_acceleration
 
 
 def angular_velocity(c: StepContext) -> Tensor:
-    """ω_B in the body frame, rad/s, (N, 3)."""
+    """Return ω_B in the body frame, rad/s, (N, 3)."""
     return c.state.angular_velocity
 
 
 def orientation(c: StepContext) -> Tensor:
-    """Roll and pitch θ_xy of the body, rad, (N, 2)."""
+    """Return roll and pitch θ_xy of the body, rad, (N, 2)."""
     return c.state.euler[:, :2]
 
 
 def joint_position(c: StepContext) -> Tensor:
-    """q, rad, (N, 12)."""
+    """Return q, rad, (N, 12)."""
     return c.state.joint_position
 
 
 def joint_velocity(c: StepContext) -> Tensor:
-    """q̇, rad/s, (N, 12)."""
+    """Return q̇, rad/s, (N, 12)."""
     return c.state.joint_velocity
 
 
 def last_action(c: StepContext) -> Tensor:
-    """The action that led here (a_{t-1} of the next step), as the policy gave it, (N, 12)."""
+    """Return the action of this step (a_{t-1} of the next one), as the policy gave it, (N, 12)."""
     return c.action
 
 
 def contacts(c: StepContext) -> Tensor:
-    """Contact indicators c_i of the feet, (N, 4)."""
+    """Return the contact indicators c_i of the feet, (N, 4)."""
     return c.state.contacts
 
 
 def body_velocity(c: StepContext) -> Tensor:
-    """v_B in the body frame, m/s, (N, 3)."""
+    """Return v_B in the body frame, m/s, (N, 3)."""
     return rotate_back(c.state.rotation, c.state.velocity)
 
 
@@ -70,11 +70,11 @@ BODY: Group = {
     "contacts": ObservationTerm(contacts, mirrors.legs, "contact", LEGS, "1"),
     "body_velocity": ObservationTerm(body_velocity, mirrors.POLAR, parts="xyz", unit="m/s"),
 }
-"""c and v_B: what of the extrinsic state is the robot's own, in any task."""
+"""Robot's part of the extrinsic state in any task: c and v_B."""
 
 
 def speeds(c: StepContext) -> Tensor:
-    """Forward speed, m/s, and yaw rate, rad/s, that answer the command, (N, 2), as the task's state has them."""
+    """Return forward speed, m/s, and yaw rate, rad/s, that follow the command, (N, 2), from the task's state."""
     return c.state.speeds
 
 

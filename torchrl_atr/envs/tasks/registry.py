@@ -14,7 +14,7 @@ from torchrl_atr.envs.tasks.task import Task
 from torchrl_atr.envs.tasks.walking import walking
 
 TASKS: Registry[Callable[..., Task]] = Registry("task")
-"""Functions that return a :class:`~torchrl_atr.envs.tasks.Task`, by name; register your own."""
+"""Registry of functions that return a :class:`~torchrl_atr.envs.tasks.Task`; register your own."""
 TASKS.register("riding", riding)
 TASKS.register("walking", walking)
 
@@ -28,7 +28,7 @@ def make_task(name: str, **arguments: Any) -> Task:
 
     Raises:
         UnknownNameError: for an unknown task.
-        InputError: for an argument that the task does not have, which is named, or a function that returns no task.
+        InputError: for an argument that the task does not have, which is named, or a function of another return type.
 
     Example:
         >>> make_task("riding", robot="go1").robot.name

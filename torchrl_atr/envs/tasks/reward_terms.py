@@ -19,21 +19,21 @@ TERMINATION = "termination"
 
 
 class RewardError(InputError):
-    """A reward term that cannot be used; the message names it."""
+    """Error of a reward term that cannot be used; the message names it."""
 
 
 @dataclass(frozen=True)
 class RewardTerm:
-    """A term of the reward: ``weight`` times what ``function`` returns.
+    """Term of the reward: ``weight`` times the value of ``function``.
 
     Attributes:
         function: from a :class:`~torchrl_atr.envs.tasks.context.StepContext` to an unweighted (N,) tensor, non-negative
             for penalties.
         weight: signed, so that penalties have negative ones.
-        symbol: in the paper, such as ``"r5"``; empty for terms of one's own.
+        symbol: in the paper, such as ``"r5"``; empty for custom terms.
 
     Raises:
-        RewardError: if the weight is no finite number, or the function cannot be called.
+        RewardError: if the weight is not a finite number, or the function cannot be called.
 
     Example:
         >>> from torchrl_atr.envs.tasks.riding import RIDING_REWARDS
@@ -64,20 +64,20 @@ class RewardTerm:
 
 
 class RewardFunction:
-    """The terms of an env, tried once, and how they make up the reward.
+    """Reward terms of an env, checked once, and their sum.
 
     Args:
         terms: by name.
-        context: of N robots, on which every term is tried; its readings say whether rewards are multiplied by the
+        context: of N robots, on which every term is checked; its readings decide whether rewards are multiplied by the
             control period (A16) and clipped (A17).
         tracking: names of the terms that a command curriculum scores.
 
     Attributes:
         terms: by name.
-        scale: what every term is multiplied by: the control period, or 1.
+        scale: factor of every term: the control period, or 1.
 
     Raises:
-        RewardError: names the term that is no :class:`RewardTerm`, fails, or does not return floats of shape (N,).
+        RewardError: names the term that is not a :class:`RewardTerm`, fails, or does not return floats of shape (N,).
     """
 
     def __init__(self, terms: Mapping[str, RewardTerm], context: StepContext, tracking: Sequence[str] = ()) -> None:
@@ -109,7 +109,7 @@ class RewardFunction:
 
     @property
     def tracking_max(self) -> dict[str, float]:
-        """Scaled values of the tracking terms at no error; 0 for one that was left out."""
+        """Scaled values of the tracking terms at zero error; 0 for one that was left out."""
         return {name: self._scaled_weight(name) for name in self._tracking}
 
     @property

@@ -31,7 +31,7 @@ _FROM_PRODUCTS = torch.tensor(
 
 
 def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
-    """Rotation matrices of unit quaternions (w, x, y, z).
+    """Compute the rotation matrices of unit quaternions (w, x, y, z).
 
     Args:
         quaternion: (*B, 4).
@@ -44,7 +44,7 @@ def matrix_from_quaternion(quaternion: Tensor) -> Tensor:
 
 
 def euler_from_matrix(rotation: Tensor) -> Tensor:
-    """Roll, pitch and yaw of R = Rz(yaw) Ry(pitch) Rx(roll), rad.
+    """Compute roll, pitch and yaw of R = Rz(yaw) Ry(pitch) Rx(roll), rad.
 
     Args:
         rotation: (*B, 3, 3).
@@ -59,7 +59,7 @@ def euler_from_matrix(rotation: Tensor) -> Tensor:
 
 
 def matrix_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
-    """Rz(yaw) Ry(pitch) Rx(roll), (*B, 3, 3), from angles in rad of shape (*B,)."""
+    """Compute Rz(yaw) Ry(pitch) Rx(roll), (*B, 3, 3), from angles in rad of shape (*B,)."""
     (cr, sr), (cp, sp), (cy, sy) = ((torch.cos(a), torch.sin(a)) for a in (roll, pitch, yaw))
     rows = [
         cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr,
@@ -70,7 +70,7 @@ def matrix_from_euler(roll: Tensor, pitch: Tensor, yaw: Tensor) -> Tensor:
 
 
 def angular_velocity(euler: Tensor, rates: Tensor) -> Tensor:
-    """ω in the world frame of what turns with these rates of roll, pitch and yaw, rad/s.
+    """Compute ω in the world frame from the rates of roll, pitch and yaw, rad/s.
 
     Args:
         euler: roll, pitch, yaw, rad, (*B, 3).
@@ -83,17 +83,17 @@ def angular_velocity(euler: Tensor, rates: Tensor) -> Tensor:
 
 
 def rotate(rotation: Tensor, vector: Tensor) -> Tensor:
-    """R v: body to world for (*B, 3, 3) and (*B, 3)."""
+    """Compute R v: body to world for (*B, 3, 3) and (*B, 3)."""
     return (rotation * vector.unsqueeze(-2)).sum(-1)
 
 
 def rotate_back(rotation: Tensor, vector: Tensor) -> Tensor:
-    """Rᵀ v: world to body for (*B, 3, 3) and (*B, 3)."""
+    """Compute Rᵀ v: world to body for (*B, 3, 3) and (*B, 3)."""
     return (rotation * vector.unsqueeze(-1)).sum(-2)
 
 
 def rotate_about(vector: Tensor, rotation_vector: Tensor) -> Tensor:
-    """``vector`` turned about the axis of ``rotation_vector`` by its length (Rodrigues' formula).
+    """Rotate ``vector`` about the axis of ``rotation_vector`` by its length (Rodrigues' formula).
 
     Args:
         vector: (N, 3).
@@ -106,5 +106,5 @@ def rotate_about(vector: Tensor, rotation_vector: Tensor) -> Tensor:
 
 
 def wrap(angle: Tensor) -> Tensor:
-    """Return the angle in (-π, π]."""
+    """Wrap an angle to (-π, π]."""
     return torch.atan2(torch.sin(angle), torch.cos(angle))

@@ -1,4 +1,4 @@
-"""``EpisodeRunner``: a task over an engine, without TorchRL or dm_control; both front ends drive it."""
+"""``EpisodeRunner``: a task on an engine, without TorchRL or dm_control; both front ends use it."""
 
 from __future__ import annotations
 
@@ -19,40 +19,40 @@ from torchrl_atr.envs.tasks.task_checks import checked_start
 from torchrl_atr.envs.tasks.terms import DIVERGED, Memory, Observed, StepOutcome, TaskTerms
 
 ACTION_LIMIT = 3.0
-"""Bounds of the action specs, in units of the action scale: with 0.25 rad a unit, joint targets of q0 ± 0.75 rad.
+"""Bounds of the action specs, in units of the action scale: with 0.25 rad per unit, joint targets of q0 ± 0.75 rad.
 
 The same for all joints, so that 0, the stand, is the middle of a squashed policy's range and left is right's mirror
-image; the committed A1 policy stays within it in 99 of 100 steps. Beyond it, actions are carried out as they are; the
-model clips joint targets at its control ranges, wherever they come from.
+image; the committed A1 policy stays within it in 99 of 100 steps. Actions beyond it are applied as they are; the model
+clips all joint targets at its control ranges.
 """
 _BOOKKEEPING = ("x_int", "previous_action", "steps", "failed", "moving")
 
 
 class EpisodeRunner:
-    """N robots' episodes of a task: intrinsics, initial states, disturbances, actions, rewards, observations.
+    """Runner of N robots' episodes: intrinsics, initial states, disturbances, actions, rewards, observations.
 
     A control step is :meth:`apply_action`, then the engine's ``advance``, then :meth:`evaluate_step`.
 
     Args:
-        task: read here, once.
+        task: read once, at construction.
         engine: of the task's scene, with the task's hook.
         randomization: ``"train"`` or ``"test"`` range of the intrinsics, or ``"off"``.
         rng: source of intrinsics, initial states, disturbances and sensor errors.
         failed_episode_replay: share of the failures after which the same robot, with the intrinsics it failed with,
             tries again.
-        compiled: whether what a step computes from the simulation is compiled (``compile_methods``).
+        compiled: whether observations, rewards and terminations are compiled (``compile_methods``).
 
     Attributes:
         terms: rewards, terminations, observations and memory.
-        intrinsics: what x_int is made of.
+        intrinsics: components of x_int.
         x_int: scaled intrinsic parameters, (N, I).
         previous_action: a_{t-1}, (N, 12), zero at the start of an episode.
-        memory: what is carried from step to step, by name, (N, size) each.
-        moving: whether the episode started with part of what is commanded, (N,) bool.
+        memory: values of the memory terms, by name, (N, size) each.
+        moving: whether the episode started with part of the commanded speeds, (N,) bool.
         steps: control steps since the start of the episode, (N,).
         failed: whether the last control step ended the episode early, (N,) bool.
         causes: which of ``terms.causes`` did, (causes, N) bool.
-        num_diverged: robots that have failed so far, counted by whoever drives the task.
+        num_diverged: number of failures so far, counted by the front end.
 
     Raises:
         InputError: for an unknown ``randomization``, a share outside [0, 1], ``compiled`` without a C++ compiler, or a
@@ -93,7 +93,7 @@ class EpisodeRunner:
         self.start_episodes(torch.arange(n), torch.zeros(n, len(task.command), dtype=torch.float32))
 
     def _check_names(self) -> None:
-        """Refuse memory that would take the place of another entry of the state."""
+        """Raise if a memory term has the name of another entry of the state."""
         for name in self.task.memory:
             if name in (*_BOOKKEEPING, *self.engine.live_state, *self._reader.state, "command", "emitted"):
                 raise MemoryTermError(f"the memory term {name!r} has the name of a state entry; give it another name")
@@ -103,15 +103,15 @@ class EpisodeRunner:
     def start_episodes(self, rows: Tensor, command: Tensor) -> Observed:
         """Start episodes of ``rows`` with fresh intrinsics and initial states; leave the others alone.
 
-        A robot that is hard to keep up has short episodes: drawn anew each time, such robots would hardly be seen. With
-        ``failed_episode_replay`` some of those that failed keep their intrinsics.
+        Robots with difficult intrinsics have short episodes, so that uniform sampling gives them few steps. With
+        ``failed_episode_replay`` a share of those that failed keep their intrinsics.
 
         Args:
             rows: (n,) integers.
-            command: that those episodes start with, (n, C); read by moving starts.
+            command: initial command of those episodes, (n, C); read by moving starts.
 
         Returns:
-            What those rows observe, as :meth:`observe` gives it for all.
+            Observations of those rows, as :meth:`observe` returns for all.
         """
         n = len(rows)
         x_int = self.intrinsics.sample(n, self.randomization, self.rng)
@@ -125,7 +125,7 @@ class EpisodeRunner:
         observed, velocities, memory, exact = self.terms.first(self._reader.gather(rows), command, x_int, errors)
         self.sensor_errors.remember(exact, rows)
         self._reader.velocities[rows] = velocities
-        # out of place: callers may hold what was handed out before
+        # out of place: callers may hold tensors that were returned before
         self.x_int = self.x_int.index_copy(0, rows, x_int)
         self.memory = {name: value.index_copy(0, rows, memory[name]) for name, value in self.memory.items()}
         self.previous_action = self.previous_action.index_fill(0, rows, 0.0)
@@ -171,7 +171,7 @@ class EpisodeRunner:
             Reward, terms, terminations and observations of all robots.
         """
         diverged = self.engine.diverged
-        if diverged.any():  # what came before is no state to take differences to
+        if diverged.any():  # the previous state is not valid for differences
             self._reader.forget(diverged.nonzero().squeeze(-1))
         before = self._reader.velocities, self._action, self.previous_action, self.memory
         outcome, self._reader.velocities, self.memory, exact = self.terms.evaluate(
@@ -184,7 +184,7 @@ class EpisodeRunner:
         return outcome
 
     def terminate_failed(self, rows: list[int], outcome: StepOutcome) -> None:
-        """End the episodes of ``rows``, in which no step can be scored: all that is left is the cost of terminating.
+        """End the episodes of ``rows``, whose steps cannot be scored: their reward is the cost of termination alone.
 
         Args:
             rows: which robots.
@@ -200,7 +200,7 @@ class EpisodeRunner:
         self.failed = outcome.terminated
 
     def observe(self, command: Tensor) -> Observed:
-        """Return what all robots observe now, without errors of sensors.
+        """Return the present observations of all robots, without sensor errors.
 
         Args:
             command: (N, C).
@@ -224,7 +224,7 @@ class EpisodeRunner:
     def set_state(self, state: dict[str, Tensor]) -> None:
         """Restore a :meth:`get_state`, of any engine: intrinsic parameters, simulation and bookkeeping.
 
-        What the state reader took differences to may be missing: they start anew then, from the present state.
+        The previous velocities may be missing: differences then start from the present state.
 
         Raises:
             KeyError: if another entry is missing.

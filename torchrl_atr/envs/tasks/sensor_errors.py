@@ -18,11 +18,11 @@ Draw = dict[str, Tensor]
 
 @dataclass
 class GroupErrors:
-    """The errors of a group of observation terms at one step.
+    """Errors of a group of observation terms at one step.
 
     Attributes:
-        columns: where each term's components are, by name.
-        offset: what is added: bias and noise, (N, D).
+        columns: columns of each term, by name.
+        offset: added error: bias and noise, (N, D).
         delay: in control steps, in [0, 1], (N, D).
         before: exact values of the step before, (N, D).
     """
@@ -33,19 +33,19 @@ class GroupErrors:
     before: Tensor
 
     def __call__(self, exact: Tensor, columns: slice = slice(None)) -> Tensor:
-        """Return what the sensors read, given the exact values of ``columns``."""
+        """Return the measured values, given the exact values of ``columns``."""
         late = torch.lerp(exact, self.before[:, columns], self.delay[:, columns])
         return late + self.offset[:, columns]
 
 
 class SensorErrors:
-    """Draws the errors that observation terms declare; each robot has a bias and a delay of its own for an episode.
+    """Sampler of the errors of observation terms; each robot has its own bias and delay for an episode.
 
-    A bias starts with its standard deviation and, where it has a correlation time τ, goes on as a Gauss-Markov process
-    that keeps it: b' = k b + √(1 - k²) σ n, with k = exp(-Δt / τ).
+    A bias starts with its standard deviation and, where it has a correlation time τ, evolves as a stationary
+    Gauss-Markov process: b' = k b + √(1 - k²) σ n, with k = exp(-Δt / τ).
 
     Args:
-        groups: the observation terms by key and name; groups without an error are left alone.
+        groups: the observation terms by key and name; groups without an error are skipped.
         sizes: components of every term, by key and name.
         num_envs: N.
         generator: source of randomness.
@@ -89,7 +89,7 @@ class SensorErrors:
     def start(self, rows: Tensor) -> dict[NestedKey, Draw]:
         """Draw biases and delays for episodes of ``rows`` (n,) that start; return their errors, (n, D), by key.
 
-        Nothing came before, so that nothing is late; :meth:`remember` the exact values that those rows start with.
+        There is no previous value, so no delay; :meth:`remember` the exact values at the start of those rows.
         """
         drawn = {}
         for key, scale in self._scales.items():
@@ -102,7 +102,7 @@ class SensorErrors:
         return drawn
 
     def step(self) -> dict[NestedKey, Draw]:
-        """Return the errors of all robots at the next step, (N, D), by key; biases go on."""
+        """Return the errors of all robots at the next step, (N, D), by key; biases evolve."""
         drawn = {}
         for key, scale in self._scales.items():
             bias, delay, before = (self.state[_name(key, name)] for name in ("bias", "delay", "before"))
@@ -118,7 +118,7 @@ class SensorErrors:
         """Keep the exact values of ``rows``, (n, D) by key, for the next step's delays."""
         for key in self._scales:
             name = _name(key, "before")
-            if isinstance(rows, slice):  # what was handed out before stays as it is
+            if isinstance(rows, slice):  # tensors that were returned before stay unchanged
                 self.state[name] = exact[key]
             else:
                 self.state[name] = self.state[name].index_copy(0, rows, exact[key])
@@ -140,7 +140,7 @@ class SensorErrors:
 
 
 def columns_of(sizes: Mapping[str, int]) -> dict[str, slice]:
-    """Return where the components of each term of a group are, by name.
+    """Return the columns of each term of a group, by name.
 
     Example:
         >>> columns_of({"acceleration": 3, "orientation": 2})["orientation"]

@@ -1,4 +1,4 @@
-"""Named sets of sensor errors: what of the proprioception is observed exactly, and what as robots have it."""
+"""Named sets of sensor errors of the proprioception."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchrl_atr._registry import Registry
 from torchrl_atr.envs.tasks.observation_terms import Group, ObservationError
 
 SensorSet = Mapping[str, Mapping[str, Any]]
-"""By the name of an observation term of ``proprio``, those of its fields noise, bias, bias_time and delay to set."""
+"""Fields noise, bias, bias_time and delay to set, by the name of an observation term of ``proprio``."""
 _ATTITUDE = math.radians(0.5)
 SENSORS: Registry[SensorSet] = Registry("sensor set")
 SENSORS.register("ideal", {})
@@ -33,7 +33,7 @@ def with_sensors(group: Group, sensors: str | SensorSet) -> Group:
 
     Args:
         group: such as :data:`~torchrl_atr.envs.tasks.proprioception.PROPRIO`.
-        sensors: name of a registered set, or one of your own.
+        sensors: name of a registered set, or your own.
 
     Raises:
         UnknownNameError: for an unknown name.

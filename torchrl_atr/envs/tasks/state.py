@@ -1,4 +1,4 @@
-"""The state of a robot: the physical quantities that observations, rewards and terminations are functions of."""
+"""State of a robot: the physical quantities that observations, rewards and terminations are functions of."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from torchrl_atr.envs.physics.engine import CONTROL_DT, Engine
 from torchrl_atr.envs.tasks.rotations import euler_from_matrix, matrix_from_quaternion, rotate_back
 
 CONTACT_THRESHOLD = 1.0
-"""Force above which something touches, N (question A35)."""
+"""Force above which there is contact, N (question A35)."""
 GRAVITY = 9.81
 Rows = Tensor | slice
-"""Which robots of a batch: row numbers, or all of them."""
+"""Rows of a batch: row numbers, or all of them."""
 SimulationSnapshot = dict[str, Tensor]
-"""What an engine holds of n robots after a control step, float32, as MuJoCo and the engine's hook have it."""
+"""Engine's tensors of n robots after a control step, float32, by the names of MuJoCo and of the engine's hook."""
 
 
 @dataclass
 class QuadrupedState:
-    """One batch of N robots after a control step, float32, world frame unless the name says otherwise.
+    """State of N robots after a control step, float32, world frame unless the name says otherwise.
 
-    Accelerations are differences over the control step (A32): what a low-passed IMU reports, free of solver
-    spikes. Forces, feet and centre of mass are those that the last substep began with: only relations between them
-    mean something, such as the centre of mass over the polygon of the feet.
+    Accelerations are differences over the control step (A32), like those of a low-passed IMU, free of solver
+    spikes. Forces, feet and centre of mass are those at the start of the last substep: use only relations between
+    them, such as the centre of mass over the polygon of the feet.
 
     Attributes:
         position, velocity, acceleration: of the body B's frame origin, (N, 3).
@@ -36,7 +36,7 @@ class QuadrupedState:
         euler: roll, pitch, yaw of the body, (N, 3).
         angular_velocity: ω_B in the body frame, (N, 3).
         joint_position, joint_velocity, joint_acceleration, torque: q, q̇, q̈, τ in the spec's order, (N, 12).
-        torque_velocity: q̇ of the instant that ``torque`` is of, the beginning of the last substep, (N, 12).
+        torque_velocity: q̇ at the instant of ``torque``, the start of the last substep, (N, 12).
         foot_position, foot_force: (N, 4, 3); forces act on the foot. Of a foot of several geoms, the mean of their
             centres and the sum of their forces.
         other_force: contact force on the rest of the robot, (N, 3).
@@ -62,25 +62,25 @@ class QuadrupedState:
     other_force: Tensor
     com: Tensor
 
-    def __post_init__(self) -> None:  # not cached properties: torch.compile cannot look into those
+    def __post_init__(self) -> None:  # not cached properties: torch.compile cannot trace those
         self.foot_load = self.foot_force.norm(dim=-1)
         self.contacts = (self.foot_load > CONTACT_THRESHOLD).to(self.foot_force.dtype)
         self.body_acceleration = rotate_back(self.rotation, self.acceleration)
 
 
 class StateExtractor:
-    """Reads a :class:`QuadrupedState` out of an engine, with differences to the previous reading.
+    """Extractor of a :class:`QuadrupedState` from an engine, with differences to the previous one.
 
-    A task with a state of its own subclasses it: :meth:`gather` for more of the engine's tensors, :meth:`velocities_of`
-    for more velocities to differentiate, :meth:`parts` for more fields of ``state_type``, :attr:`state` for what of the
-    previous reading cannot be read again later.
+    A task with its own state subclasses it: :meth:`gather` for more of the engine's tensors, :meth:`velocities_of`
+    for more velocities to differentiate, :meth:`parts` for more fields of ``state_type``, :attr:`state` for those
+    parts of the previous state that an engine's restored state does not give.
 
     Args:
         engine: any engine.
 
     Attributes:
-        state_type: what :meth:`interpret` makes.
-        velocities: of the previous reading, (N, V); what the next one's accelerations are differences to.
+        state_type: type of the states that :meth:`interpret` returns.
+        velocities: of the previous state, (N, V), for the next one's accelerations.
     """
 
     state_type: ClassVar[type[QuadrupedState]] = QuadrupedState
@@ -96,18 +96,18 @@ class StateExtractor:
 
     @property
     def state(self) -> dict[str, Tensor]:
-        """What :meth:`forget` cannot read out of an engine's restored state, by name: live parts of ``velocities``.
+        """Live parts of ``velocities``, by name, that :meth:`forget` cannot read from an engine's restored state.
 
-        Such as anything that was sensed: restored, sensors are of the present, not of where the last substep began.
+        Such as sensor values: after a restore they are of the present, not of the start of the last substep.
         """
         return {}
 
     def forget(self, rows: Rows = slice(None)) -> None:
-        """Start the differences of ``rows`` anew from the present state (after a reset or the like)."""
+        """Restart the differences of ``rows`` from the present state, as after a reset."""
         self.velocities[rows] = self.velocities_of(self.gather(rows))
 
     def read(self) -> QuadrupedState:
-        """Return the state of all robots now; accelerations are differences to their previous reading."""
+        """Return the state of all robots now; accelerations are differences to the previous one."""
         state, self.velocities = self.interpret(self.gather(), self.velocities)
         return state
 
@@ -123,12 +123,12 @@ class StateExtractor:
         }
 
     def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
-        """Return what the next state differentiates, (n, V): v_B and q̇ first."""
+        """Return the velocities that the next state differentiates, (n, V): v_B and q̇ first."""
         qvel = snapshot["qvel"]
         return torch.cat([qvel[:, self._root_dof], qvel[:, self._joint_dof]], -1)
 
     def interpret(self, snapshot: SimulationSnapshot, previous: Tensor | None) -> tuple[QuadrupedState, Tensor]:
-        """Return the state that a snapshot shows, and its velocities; touches nothing else.
+        """Return the state of a snapshot, and its velocities; without side effects.
 
         Args:
             snapshot: of n robots.
@@ -139,7 +139,7 @@ class StateExtractor:
         return self.state_type(**self.parts(snapshot, now, rates)), now
 
     def foot_positions(self, snapshot: SimulationSnapshot) -> Tensor:
-        """Return where the feet are, (n, 4, 3)."""
+        """Return the positions of the feet, m, (n, 4, 3)."""
         return _by_foot(snapshot["sensed"][:, self._sensors["foot_position"]], self._foot_sizes, torch.mean)
 
     def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
@@ -154,7 +154,7 @@ class StateExtractor:
         joints = qpos[:, self._joint_qpos]
         end = 3 + joints.shape[-1]
         rotation = matrix_from_quaternion(qpos[:, self._root_qpos.stop : self._root_qpos.stop + 4])
-        # contact sensors give the force on the support; the feet feel the opposite
+        # contact sensors give the force on the support; the force on the feet is the opposite
         foot_force = _by_foot(sensed[:, sensors["foot_force"]].neg(), self._foot_sizes, torch.sum)
         return {
             "position": qpos[:, self._root_qpos],
@@ -181,7 +181,7 @@ def single(values: Tensor) -> Tensor:
 
 
 def _by_foot(values: Tensor, sizes: tuple[int, ...], reduce: Callable[..., Tensor]) -> Tensor:
-    """Reduce vectors of geoms, (n, 3 G), to those of feet that have so many geoms each, (n, 4, 3)."""
+    """Reduce vectors of geoms, (n, 3 G), to those of feet with ``sizes`` geoms each, (n, 4, 3)."""
     vectors = values.unflatten(-1, (-1, 3))
     if len(sizes) == vectors.shape[-2]:
         return vectors

@@ -1,4 +1,4 @@
-"""``Task``: what is observed, rewarded, randomised, reset and ended, as data that an env reads once."""
+"""``Task``: observations, rewards, randomisation, resets and terminations as data that an env reads once."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from torchrl_atr.envs.transforms.grid import CommandGrid
 
 @dataclass(frozen=True)
 class CommandSpace:
-    """What a command asks for, and how commands are drawn.
+    """Components of a command, and the grid from which commands are drawn.
 
     Attributes:
         names: of its components.
         units: of them.
-        grid: from which a curriculum draws them, and its bounds; None for a command that only the user's own transforms
+        grid: from which a curriculum draws them, and its bounds; None for a command that only your own transforms
             draw.
         mirror: its mirror image, which symmetric networks need.
 
     Raises:
-        InputError: if names or units are no tuples of texts, or not as many.
+        InputError: if names or units are not tuples of strings of one length.
 
     Example:
         >>> len(CommandSpace(("speed", "yaw_rate"), ("m/s", "rad/s"), mirror=(1.0, -1.0)))
@@ -61,37 +61,37 @@ class CommandSpace:
 
 @dataclass(frozen=True)
 class Task:
-    """A task: read by :class:`~torchrl_atr.envs.QuadrupedEnv` and :func:`~torchrl_atr.envs.suite.load_task` once.
+    """Task, read once by :class:`~torchrl_atr.envs.QuadrupedEnv` and :func:`~torchrl_atr.envs.suite.load_task`.
 
     Attributes:
         name: of the task.
-        robot: who does it.
-        support: what it stands on.
-        command: what is asked for.
+        robot: spec of the robot.
+        support: transporter or ground under the robot.
+        command: components and distribution of the command.
         observations: by key, the terms that are concatenated there. ``proprio`` is needed; it and the command make up
-            ``observation``. ``("privileged", "extrinsic")`` is what the extrinsic estimator estimates, ``speeds`` what
-            answers the command, component by component.
+            ``observation``. ``("privileged", "extrinsic")`` is the target of the extrinsic estimator, ``speeds`` the
+            measured speeds that follow the command, per component.
         rewards: the terms of the reward by name. One called ``termination`` scores early terminations; failed
             simulations cost it.
-        intrinsics: what is drawn for every episode: ``("privileged", "intrinsic")``.
-        terminations: what ends an episode early, by name.
-        reset: how episodes begin.
-        disturbances: what happens again and again, by name.
-        memory: what is carried from step to step, by name.
+        intrinsics: parameters that are drawn for every episode: ``("privileged", "intrinsic")``.
+        terminations: functions that end an episode early, by name.
+        reset: function that returns initial states.
+        disturbances: periodic disturbances, by name.
+        memory: quantities that are carried from step to step, by name.
         tracking: reward terms that a command curriculum scores, one for each component of the command.
-        state_extractor: what makes a state of an engine's tensors.
-        hook: makes what acts before every substep, of an engine; None for nothing.
-        readings: how the paper's open questions are answered.
+        state_extractor: class that computes a state from an engine's tensors.
+        hook: class that acts on an engine before every substep; None for nothing.
+        readings: answers to the paper's open questions.
         reward_schedule: factors by which a learner multiplies terms of the reward, by the term's name, as functions of
             the progress of training in [0, 1]. The env's rewards are those of :attr:`rewards` throughout.
-        arguments: plain values with which :func:`~torchrl_atr.envs.tasks.make_task` makes a task of the same name and
-            scene again; empty for one that it does not know.
+        arguments: plain values from which :func:`~torchrl_atr.envs.tasks.make_task` makes a task of the same name and
+            scene; empty for a task that is not registered.
 
-    A term is added, dropped or changed by :meth:`replace`. What is read of the paper is in some fields already when a
-    task's function returns: other :attr:`readings` are an argument of that function, its ``profile``.
+    Add, drop or change a term by :meth:`replace`. Some fields depend on the answers to the paper's open questions: for
+    other :attr:`readings`, use the argument ``profile`` of the task's function.
 
     Raises:
-        InputError: for a field of another kind, or one that names a term that is none.
+        InputError: for a field of another kind, or one that names a term that does not exist.
 
     Example:
         >>> from torchrl_atr.envs.tasks import RewardTerm, riding
@@ -130,7 +130,7 @@ class Task:
         """Return the task with some fields replaced.
 
         Raises:
-            TypeError: for a name that is no field.
+            TypeError: for a name that is not a field.
             InputError: see the class.
         """
         known = [each.name for each in dataclasses.fields(self)]

@@ -1,4 +1,4 @@
-"""What the fields of a task must be, as far as it shows before there is an env; terms are tried by the env."""
+"""Checks of a task's fields that need no env; the env checks the terms."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ _KINDS: dict[str, tuple[Any, str]] = {
 
 
 def check_task(task: Task) -> None:
-    """Check the kinds of a task's fields, and that what names a term names one.
+    """Check the types of a task's fields, and that the terms that they name exist.
 
     Raises:
-        InputError: names the task, the field and the entry, and says what to give.
+        InputError: names the task, the field, the entry and the remedy.
     """
     for field, (kind, wanted) in _KINDS.items():
         if not isinstance(value := getattr(task, field), kind):
@@ -64,10 +64,10 @@ def check_task(task: Task) -> None:
 
 
 def check_components(names: Sequence[str], units: Sequence[str]) -> None:
-    """Check what a command's components are called.
+    """Check the names and units of a command's components.
 
     Raises:
-        InputError: if these are no lists of texts, or of different lengths.
+        InputError: if these are not lists of strings, or of different lengths.
     """
     for argument, value in (("names", names), ("units", units)):
         if not isinstance(value, list | tuple) or not value or not all(isinstance(each, str) for each in value):
@@ -77,10 +77,10 @@ def check_components(names: Sequence[str], units: Sequence[str]) -> None:
 
 
 def checked_start(task: Task, begun: Any, scene: Scene, n: int) -> InitialState:
-    """Return what a task's ``reset`` returned for n episodes.
+    """Return the initial states that a task's ``reset`` returned for n episodes, checked.
 
     Raises:
-        InputError: if that is no :class:`~torchrl_atr.envs.tasks.events.InitialState` of n episodes in this scene.
+        InputError: unless it is an :class:`~torchrl_atr.envs.tasks.events.InitialState` of n episodes in this scene.
     """
     if not isinstance(begun, InitialState):
         raise _error(task, f"reset returned {type(begun).__name__}; return an InitialState(qpos, qvel, moving)")

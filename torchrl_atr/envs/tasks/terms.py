@@ -1,4 +1,4 @@
-"""The terms of a task on N robots: from what an engine holds to rewards, terminations and observations."""
+"""Terms of a task on N robots: rewards, terminations and observations from an engine's tensors."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from torchrl_atr.envs.tasks.task import Task
 Observed = dict[NestedKey, Tensor]
 Memory = dict[str, Tensor]
 Errors = Mapping[NestedKey, Draw]
-"""What is drawn of sensors' errors for a step, by the key of the group."""
+"""Sensor errors drawn for a step, by the key of the group."""
 DIVERGED = "diverged"
-"""Cause of an early end beside the task's terminations: the simulation failed, or something is not finite."""
+"""Cause of an early end besides the task's terminations: the simulation failed, or a value is not finite."""
 
 
 @dataclass
 class StepOutcome:
-    """What a control step led to.
+    """Outcome of a control step.
 
     Attributes:
         reward: (N, 1).
@@ -39,7 +39,7 @@ class StepOutcome:
         terminated: (N,) bool.
         causes: which of :attr:`TaskTerms.causes` ended an episode, (causes, N) bool.
         observed: observations by key, (N, features) each, by key.
-        finite: whether all of these are numbers, () bool.
+        finite: whether all of these are finite, () bool.
     """
 
     reward: Tensor
@@ -51,18 +51,18 @@ class StepOutcome:
 
 
 class TaskTerms:
-    """A task's terms, tried once, and what they come to; its methods are functions of their arguments alone.
+    """Terms of a task, checked once; its methods are functions of their arguments alone.
 
     Args:
-        task: whose terms they are.
+        task: owner of the terms.
         extractor: of states.
         compiled: whether :meth:`first` and :meth:`evaluate` are compiled (``compile_methods``).
 
     Attributes:
         rewards: the terms, and their sum.
         observations: the groups of terms.
-        causes: what ends episodes early, by name.
-        no_memory: the memory of robots that stand, by name, (N, size) each.
+        causes: causes of early ends, by name.
+        no_memory: the memory of standing robots, by name, (N, size) each.
 
     Raises:
         InputError: names a term that cannot be used.
@@ -90,10 +90,10 @@ class TaskTerms:
     def _compile(self) -> None:
         if self.compiled:
             compile_methods(self, "evaluate", short=True)
-            compile_methods(self, "first", short=True, any_rows=True)  # any number of robots begins
+            compile_methods(self, "first", short=True, any_rows=True)  # any number of robots resets
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but compiled functions, which cannot be pickled: a copy compiles its own."""
+        """Return the state without compiled functions, which cannot be pickled: a copy compiles its own."""
         return {name: value for name, value in vars(self).items() if name not in ("evaluate", "first")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -128,7 +128,7 @@ class TaskTerms:
     def first(
         self, snapshot: SimulationSnapshot, command: Tensor, x_int: Tensor, errors: Errors
     ) -> tuple[Observed, Tensor, Memory, Observed]:
-        """Return observations, velocities, memory and exact values of groups with errors, of episodes that start.
+        """Return observations, velocities, memory and exact values of groups with errors, at the start of episodes.
 
         A function of the arguments alone, which can be compiled.
         """
@@ -171,11 +171,11 @@ class TaskTerms:
         return outcome, velocities, memory, exact
 
     def observe(self, command: Tensor, action: Tensor, memory: Memory, x_int: Tensor) -> Observed:
-        """Return what all robots would observe now with exact sensors, by key, (N, features) each, raw SI units."""
+        """Return the present observations of all robots without sensor errors, by key, (N, features) each, SI units."""
         return self._observed(self._context(self.extractor.read(), command, action, action, memory), x_int)[0]
 
     def _observed(self, context: StepContext, x_int: Tensor) -> tuple[Observed, Observed]:
-        """Return what is observed, and the exact values of the groups that are observed with errors."""
+        """Return the observations, and the exact values of the groups that are observed with errors."""
         groups = self.observations(context)
         exact = {key: groups[key] for key in context.errors}
         groups.update({key: errors(exact[key]) for key, errors in context.errors.items()})

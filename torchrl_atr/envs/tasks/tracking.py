@@ -1,4 +1,4 @@
-"""The tracking kernel of the paper's command rewards (r0 and r1)."""
+"""Tracking kernel of the paper's command rewards (r0 and r1)."""
 
 from __future__ import annotations
 

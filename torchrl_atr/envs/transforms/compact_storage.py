@@ -1,4 +1,4 @@
-"""What a collector needs to store once, not at the root and in ``next``."""
+"""Transform that lets a collector store entries once, not both at the root and in ``next``."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from torchrl_atr._torchrl_private import AfterStepTransform
 
 
 class CompactStorage(AfterStepTransform):
-    """Keeps entries out of ``next``, or out of the root, of what :class:`~torchrl.collectors.Collector` stores.
+    """Transform that drops entries from ``next``, or from the root, of steps that a collector stores.
 
-    TorchRL stores every observation twice. The history at the root of a step is all that policies and estimators read
-    of it, and makes up most of a step; what says how a step went, such as reward terms, is of no use at the root of the
-    next one, to which it would be carried, and merged with every reset.
+    TorchRL's :class:`~torchrl.collectors.Collector` stores every observation twice. Policies and estimators read the
+    history at the root alone, and it is most of a step's memory; diagnostics of a step, such as reward terms, are not
+    needed at the root of the next one, to which they would be carried, and merged with every reset.
 
     TorchRL's ``ExcludeTransform`` takes an entry out of the root as well, from which policies read it; its collectors'
     ``compact_obs=True`` leaves out all observations of ``next``, NaN where an episode ends, so that truncated episodes
     lose their last value.
 
     Place it last. It is for collectors, and for rollouts that stop when an env is done: others keep all of their last
-    step. What is stored in ``next`` is no root to go on from, and TorchRL's ``check_env_specs`` insists on all that is
-    observed being there. Loss modules that read histories of ``next`` need them, too.
-    :class:`~torchrl.envs.ParallelEnv` knows only of what is observed: put this around it, not into its workers.
+    step. A stored ``next`` is not a complete root to continue from, and TorchRL's ``check_env_specs`` requires all
+    observations in it. Loss modules that read histories of ``next`` need them, too.
+    :class:`~torchrl.envs.ParallelEnv` transfers observations only: wrap it, do not use this in its workers.
 
     Args:
-        at_root: observations that ``next`` does without once they were carried to the next root.
-        in_next: entries of a step that are no observations from here on: neither resets nor roots hold them, and no
+        at_root: observations that are dropped from ``next`` once they were carried to the next root.
+        in_next: entries of a step that are not observations from here on: neither resets nor roots hold them, and no
             transform may read them there.
 
     Example:
@@ -54,7 +54,7 @@ class CompactStorage(AfterStepTransform):
         self._specs: dict[NestedKey, TensorSpec] = {}
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """What is in ``next`` alone is not observed.
+        """Remove the entries of ``in_next`` from the observation spec.
 
         Raises:
             KeyError: The environment emits no such entry.
@@ -68,7 +68,7 @@ class CompactStorage(AfterStepTransform):
         return observation_spec
 
     def transform_fake_tensordict(self, fake_tensordict: TensorDictBase) -> TensorDictBase:
-        """What a step holds, from which collectors make their buffers."""
+        """Remove the entries that are not stored, so that collectors allocate no buffers for them."""
         after = fake_tensordict.get("next")
         for key, spec in self._specs.items():
             after.set(key, spec.zero())
@@ -82,12 +82,12 @@ class CompactStorage(AfterStepTransform):
         return next_tensordict
 
     def after_step(self, step: TensorDictBase, root: TensorDictBase) -> None:
-        """Remove each entry where it is not kept."""
+        """Remove each entry from where it is not kept."""
         after = step.get("next")
         for key in self.at_root:
             after.pop(key, None)
         for key in self.in_next:
-            root.pop(key, None)  # of a root that was not reset here
+            root.pop(key, None)  # present at a root that was not reset by this env
 
     def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
         raise NotImplementedError("CompactStorage only works on the steps of an environment")

@@ -1,4 +1,4 @@
-"""The transform that owns the command: draws it, resamples it, and grows the grid it is drawn from."""
+"""Transform that owns the command: draws it, resamples it, and grows the grid it is drawn from."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class CommandCurriculum(OwnGenerator):
     its threshold; if all pass and the row did not terminate, the grid around the command's cell grows. An
     episode that ends inside a window therefore scores nothing.
 
-    The generator is the transform's own. Over a :class:`~torchrl_atr.envs.RidingEnv`, or several of them in a
+    The transform has its own generator. Over a :class:`~torchrl_atr.envs.RidingEnv`, or several of them in a
     ``SerialEnv`` or ``ParallelEnv``, ``env.set_seed(s)`` restarts it too, and parallel copies get different seeds; over
     another env :meth:`set_seed` does. With ``seed=None`` each instance seeds itself from the operating system; copies
     made with the same ``seed`` draw the same commands. Workers learn together through
@@ -39,15 +39,15 @@ class CommandCurriculum(OwnGenerator):
     Only :meth:`pin` fixes a command. A ``command`` in a reset TensorDict is ignored.
 
     Args:
-        tracking_max: What the environment emits for each score at perfect tracking (weight times dt).
-        tracking_keys: Where each score is in the step's ``next``; leaves of shape ``(*B, 1)``.
+        tracking_max: The value of each score at perfect tracking (weight times dt).
+        tracking_keys: The key of each score in the step's ``next``; leaves of shape ``(*B, 1)``.
         thresholds: Fraction of the maximum that each window mean must reach (gamma_v, gamma_omega).
         window: Steps that a command lasts (5 s at 50 Hz).
         score_from: Steps at the start of each window that are left out of the score.
         grid: The cells and the update rule.
         unscored_key: If given, a bool entry of the reset, ``(*B, 1)``: the first window of rows where it is true is not
-            scored, since they were given some of what is asked.
-        command_key: Where the command is read and written, ``(*B, 2)``, m/s and rad/s.
+            scored, since they started with part of the commanded speeds.
+        command_key: The key of the command, ``(*B, 2)``, m/s and rad/s.
         seed: Seed of the transform's generator.
 
     Raises:
@@ -100,7 +100,7 @@ class CommandCurriculum(OwnGenerator):
 
     @property
     def command(self) -> Tensor:
-        """The commands in force (a copy), ``(*B, 2)``, m/s and rad/s.
+        """Commands in force (a copy), ``(*B, 2)``, m/s and rad/s.
 
         Raises:
             RuntimeError: Before the first reset.
@@ -117,7 +117,7 @@ class CommandCurriculum(OwnGenerator):
     @property
     def frontier(self) -> tuple[float, float]:
         """Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s) that can be drawn now."""
-        version = id(self.weights), self.weights._version  # asked at every step, and they seldom change
+        version = id(self.weights), self.weights._version  # read at every step; the weights seldom change
         if self._frontier is None or self._frontier[0] != version:
             self._frontier = version, self.grid.frontier(self.weights)
         return self._frontier[1]
@@ -125,7 +125,7 @@ class CommandCurriculum(OwnGenerator):
     @keeps_normal_tensors
     @torch.no_grad()
     def load_weights(self, weights: Tensor) -> None:
-        """Replace the weights by ``weights``, ``grid.shape``, in [0, 1].
+        """Replace the grid's weights by ``weights``, ``grid.shape``, in [0, 1].
 
         Raises:
             ValueError: See :meth:`CommandGrid.validate`.
@@ -135,7 +135,7 @@ class CommandCurriculum(OwnGenerator):
     @keeps_normal_tensors
     @torch.no_grad()
     def merge_(self, other: Tensor) -> None:
-        """Take in another worker's weights, ``grid.shape``, by elementwise maximum.
+        """Merge another worker's weights, ``grid.shape``, by elementwise maximum.
 
         Raises:
             ValueError: See :meth:`CommandGrid.validate`.
@@ -148,7 +148,7 @@ class CommandCurriculum(OwnGenerator):
     def pin(self, command: Tensor | Sequence[float], mask: Tensor | None = None) -> None:
         """Fix the command of some rows, through resamples and resets, until :meth:`unpin`.
 
-        It shows from the next reset or step on. Pinned rows never update the grid.
+        It takes effect at the next reset or step. Pinned rows never update the grid.
 
         Args:
             command: ``(2,)`` for all rows or ``(*B, 2)``, m/s and rad/s, within the grid's bounds; with no negative
@@ -165,7 +165,7 @@ class CommandCurriculum(OwnGenerator):
     @keeps_normal_tensors
     @torch.no_grad()
     def unpin(self) -> None:
-        """Release all pins. A released row keeps its command, uncounted, until it is next due."""
+        """Release all pins. A released row keeps its command, unscored, until its next resample."""
         if self.rows.batch is not None:
             self.rows.pinned = torch.zeros_like(self.rows.pinned)
 
@@ -226,7 +226,7 @@ class CommandCurriculum(OwnGenerator):
 
     @keeps_normal_tensors
     def clone(self) -> CommandCurriculum:
-        """A copy without parent, with its own generator and state."""
+        """Return a copy without parent, with its own generator and state."""
         other = super().clone()
         other._generator = torch.Generator()
         other._generator.set_state(self._generator.get_state())
@@ -236,7 +236,7 @@ class CommandCurriculum(OwnGenerator):
         return other
 
     def get_extra_state(self) -> dict[str, Any]:
-        """The generator and the grid's settings; weights and rows have entries of their own."""
+        """Return the generator's state and the grid's settings; weights and rows have their own entries."""
         return {"generator": self._generator.get_state(), "grid": asdict(self.grid)}
 
     @keeps_normal_tensors
@@ -258,7 +258,7 @@ class CommandCurriculum(OwnGenerator):
         return spec
 
     def _make_rows(self) -> bool:
-        """Allocate the rows if there are none for this batch size; whether it did."""
+        """Allocate the rows if there are none for this batch size; return whether it did."""
         if self.parent is None:
             raise RuntimeError("CommandCurriculum is not attached; use TransformedEnv(env, CommandCurriculum(...))")
         batch = self.parent.batch_size

@@ -1,4 +1,4 @@
-"""The grid over the command space and the pure rule that grows it (the paper's "Curriculum Strategy").
+"""Grid over the command space and the pure rule that grows it (the paper's "Curriculum Strategy").
 
 Questions A2 to A5: the printed ``max(P + delta, 1)`` is a cap, ``min(w + delta, 1)``, on
 unnormalised weights in [0, 1]; a cell is drawn with probability proportional to its weight.
@@ -36,14 +36,14 @@ class CommandGrid:
         bounds: Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s); whole multiples of ``bin_size``.
         bin_size: Cell size along each axis, m/s and rad/s.
         initial: Half-widths of the box that starts with weight 1; a cell belongs to it if its centre does.
-        expansion: The paper's Delta, m/s and rad/s: how far a success reaches along each axis.
+        expansion: The paper's Delta, m/s and rad/s: the reach of a success along each axis.
         increment: The paper's delta, added to each cell of the neighbourhood for each success, in (0, 1].
-        count_own_twice: What the preset ``legged_gym`` makes of ``c + Delta``: the succeeding cell gains the
-            increment twice.
+        count_own_twice: Whether the succeeding cell gains the increment twice, as the preset ``legged_gym``
+            interprets ``c + Delta``.
         forward_only: Whether no speed below zero is drawn.
-        still: Share of the draws that ask to stand still, whatever the weights; in [0, 1].
-        turning: Share that asks for a yaw rate alone.
-        straight: Share that asks for a speed alone.
+        still: Share of the draws that command standing still, whatever the weights; in [0, 1].
+        turning: Share that commands a yaw rate alone.
+        straight: Share that commands a speed alone.
 
     Raises:
         ValueError: A value is not positive and finite, or does not fit the grid.
@@ -108,7 +108,7 @@ class CommandGrid:
         return round(self.expansion[0] / self.bin_size[0]), round(self.expansion[1] / self.bin_size[1])
 
     def initial_weights(self) -> Tensor:
-        """P_0 as weights: 1 in the initial box, 0 outside.
+        """Return P_0 as weights: 1 in the initial box, 0 outside.
 
         Returns:
             float32 ``shape``.
@@ -120,14 +120,14 @@ class CommandGrid:
         return self._allowed(weights)
 
     def _allowed(self, weights: Tensor) -> Tensor:
-        """Return the weights without those of speeds that are never drawn."""
+        """Return the weights with zeros for speeds that are never drawn."""
         if not self.forward_only:
             return weights
         return weights.index_fill(0, torch.arange(self.half[0], device=weights.device), 0.0)
 
     @property
     def uniforms(self) -> int:
-        """Uniform numbers that :meth:`sample` needs for a command."""
+        """Number of uniform variates that :meth:`sample` needs per command."""
         return 4 if self.still + self.turning + self.straight > 0.0 else 3
 
     def validate(self, weights: Tensor) -> Tensor:
@@ -148,7 +148,7 @@ class CommandGrid:
         return weights
 
     def fitted(self, weights: Tensor) -> Tensor:
-        """Weights of a grid with the same bins and other bounds, cut or filled up with zeros to this one's.
+        """Return weights of a grid with the same bins and other bounds, cropped or zero-padded to this one's.
 
         Args:
             weights: of that grid, with odd numbers of cells along both axes.
@@ -165,7 +165,7 @@ class CommandGrid:
         return self._allowed(functional.pad(weights, (columns, columns, rows, rows)))
 
     def centres(self, cells: Tensor) -> Tensor:
-        """Commands at the centres of flat cell indices.
+        """Return the commands at the centres of flat cell indices.
 
         Args:
             cells: int64 ``(*B,)``, ``row * shape[1] + column``.
@@ -177,7 +177,7 @@ class CommandGrid:
         return index * torch.tensor(self.bin_size, dtype=torch.float64, device=cells.device)
 
     def cell_of(self, commands: Tensor) -> Tensor:
-        """Flat index, int64 ``(*B,)``, of the cell nearest to each command ``(*B, 2)``."""
+        """Return the flat index, int64 ``(*B,)``, of the cell nearest to each command ``(*B, 2)``."""
         index = torch.stack(
             [
                 (commands[..., axis].double() / self.bin_size[axis]).round().long().clamp(-half, half) + half
@@ -187,7 +187,7 @@ class CommandGrid:
         return index[0] * self.shape[1] + index[1]
 
     def _edges(self, cells: Tensor) -> tuple[Tensor, Tensor]:
-        """Lowest and highest command of each cell, cut at the bounds: two float64 ``(*B, 2)``."""
+        """Return the lowest and highest command of each cell, cut at the bounds: two float64 ``(*B, 2)``."""
         low, high = _all_edges(self, cells.device)
         return low[cells], high[cells]
 
@@ -199,14 +199,14 @@ class CommandGrid:
 
         Args:
             weights: ``shape``, at least one of them positive.
-            uniforms: float64 ``(n, uniforms)`` in [0, 1): the cell, c_v and c_omega inside it, and what is asked for.
+            uniforms: float64 ``(n, uniforms)`` in [0, 1): the cell, c_v and c_omega inside it, and the kind of command.
 
         Returns:
             Commands, float64 ``(n, 2)`` in m/s and rad/s, and their flat cell indices, int64 ``(n,)``.
         """
         cumulative = weights.reshape(-1).cumsum(0, dtype=torch.float64)
         total = cumulative[-1]
-        # u * total may round up to the total, behind the last cell that has any weight
+        # u * total may round up to the total, past the last cell that has any weight
         target = torch.minimum(uniforms[:, 0] * total, torch.nextafter(total, torch.zeros_like(total)))
         cells = torch.searchsorted(cumulative, target, right=True)
         low, high = self._edges(cells)
@@ -220,7 +220,7 @@ class CommandGrid:
         return commands, self.cell_of(commands)
 
     def update(self, weights: Tensor, cells: Tensor) -> Tensor:
-        """P_{K+1} from P_K: each success adds the increment to its neighbourhood, saturating at 1.
+        """Compute P_{K+1} from P_K: each success adds the increment to its neighbourhood, saturating at 1.
 
         A cell named twice counts twice; weights never fall.
 
@@ -239,18 +239,18 @@ class CommandGrid:
         return self._allowed((weights.double() + self.increment * gain).clamp(max=1.0).to(weights.dtype))
 
     def merge(self, weights: Tensor, other: Tensor) -> Tensor:
-        """What two workers have learnt together: the elementwise maximum, as weights only ever rise."""
+        """Return the elementwise maximum of two workers' weights, which only ever rise."""
         return torch.maximum(weights, other)
 
     def area(self, weights: Tensor) -> tuple[float, float]:
-        """Weighted area of the grid: as a fraction of the cells that may be drawn, and in (m/s)(rad/s), edges cut."""
+        """Return the weighted area: as a fraction of the cells that may be drawn, and in (m/s)(rad/s), edges cut."""
         low, high = self._edges(torch.arange(weights.numel(), device=weights.device))
         sizes = (high - low).prod(-1).reshape(self.shape)
         weights, cells_drawn = weights.double(), self._allowed(torch.ones_like(weights)).sum()
         return float(weights.sum() / cells_drawn), float((weights * sizes).sum())
 
     def frontier(self, weights: Tensor) -> tuple[float, float]:
-        """Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s) that can be drawn."""
+        """Return the largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s) that can be drawn."""
         low, high = self._edges((weights.reshape(-1) > 0).nonzero()[:, 0])
         reach = torch.maximum(low.abs(), high.abs()).amax(0)
         return round(float(reach[0]), 9), round(float(reach[1]), 9)
@@ -258,7 +258,7 @@ class CommandGrid:
 
 @cache
 def _all_edges(grid: CommandGrid, device: torch.device) -> tuple[Tensor, Tensor]:
-    """Lowest and highest command of all cells: commands are drawn at most steps of many robots."""
+    """Return the lowest and highest command of all cells; cached, as most steps of many robots draw commands."""
     centres = grid.centres(torch.arange(math.prod(grid.shape), device=device))
     reach = torch.tensor(grid.bin_size, dtype=torch.float64, device=device) / 2
     bound = torch.tensor(grid.bounds, dtype=torch.float64, device=device)

@@ -1,4 +1,4 @@
-"""The observation history o_{t-H} ... o_{t-1} that the estimators read."""
+"""Transform for the observation history o_{t-H} ... o_{t-1} that the estimators read."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from torchrl_atr._checks import check_flag, check_key, check_whole
 from torchrl_atr._inference import keeps_normal_tensors
 
 _SPARE_FRAMES = 4
-"""Steps that a buffer lasts. With many robots some begin anew at nearly every step, which takes a new one anyway."""
+"""Steps before a buffer is full. With many robots some reset at nearly every step, which allocates a new one anyway."""
 
 
 class ObservationHistory(Transform):
-    """Writes the ``length`` observations before the current one, oldest first, of this episode only.
+    """Transform that writes the ``length`` observations before the current one, oldest first, of this episode only.
 
-    ``history[..., 0, :]`` is o_{t-H} and ``history[..., -1, :]`` is o_{t-1} (reading A19); before the episode
-    has H steps the front is filled with o_0, so at t = 0 it is H copies of it. Place it behind whatever
-    rewrites the observation: it stores what it sees, the command that was in force included.
+    ``history[..., 0, :]`` is o_{t-H} and ``history[..., -1, :]`` is o_{t-1} (question A19); before the episode
+    has H steps the front is filled with o_0, so at t = 0 it is H copies of it. Place it behind all transforms
+    that rewrite the observation: it stores its input, with the command that was in force.
 
-    TorchRL's ``UnsqueezeTransform -> CatFrames(H + 1, padding="same")`` comes close, but needs a transform of
-    our own to cut the newest frame, and its uninitialised buffer makes ``env.state_dict()`` fail before the
+    TorchRL's ``UnsqueezeTransform -> CatFrames(H + 1, padding="same")`` comes close, but needs a custom
+    transform to cut the newest frame, and its uninitialised buffer makes ``env.state_dict()`` fail before the
     first reset and ``env.load_state_dict()`` fail on a fresh environment.
 
     Args:
         length: H, the number of past observations.
         in_key: The observation, ``(*B, D)``.
         out_key: The history, ``(*B, H, D)``, of the observation's dtype.
-        include_current: Whether the history is o_{t-H+1} ... o_t instead (the other reading of A19).
+        include_current: Whether the history is o_{t-H+1} ... o_t instead (the other answer to A19).
 
     Raises:
         ValueError: ``length`` is not positive.
@@ -63,7 +63,7 @@ class ObservationHistory(Transform):
         self.length = length
         self.include_current = include_current
         # Frames, o_{t-H} ... o_t the last ones before _end, and room for more, (*B, H + 1 + _SPARE_FRAMES, D). Each is
-        # written once: the emitted histories are views, and moving all frames at every step takes longer than all else.
+        # written once: the emitted histories are views, and moving all frames at every step would dominate the cost.
         self.register_buffer("_buffer", None, persistent=False)
         self._end = 0
 
@@ -93,7 +93,7 @@ class ObservationHistory(Transform):
         if newest.requires_grad or self._end == self._buffer.shape[-2]:
             self._new_reel(torch.cat([before[..., 1:, :], newest], -2))
         else:
-            # data: what autograd keeps of the earlier frames has not changed
+            # .data: the frames that autograd saved earlier have not changed
             self._buffer.data[..., self._end : self._end + 1, :] = newest
             self._end += 1
         return self._emit(next_tensordict)
@@ -121,13 +121,13 @@ class ObservationHistory(Transform):
 
     @keeps_normal_tensors
     def clone(self) -> ObservationHistory:
-        """A copy without parent, with frames of its own."""
+        """Return a copy without parent, with its own frames."""
         other = super().clone()
         other.set_extra_state(self.get_extra_state())
         return other
 
     def get_extra_state(self) -> dict[str, Any]:
-        """The frames, ``(*B, H + 1, D)``, or None before the first reset."""
+        """Return the frames, ``(*B, H + 1, D)``, or None before the first reset."""
         frames = self._frames
         return {"frames": None if frames is None else frames.clone()}
 
@@ -141,7 +141,7 @@ class ObservationHistory(Transform):
 
     @property
     def _frames(self) -> Tensor | None:
-        """o_{t-H} ... o_t, (*B, H + 1, D); None before the first reset."""
+        """Frames o_{t-H} ... o_t, (*B, H + 1, D); None before the first reset."""
         return None if self._buffer is None else self._buffer[..., self._end - self.length - 1 : self._end, :]
 
     def _new_reel(self, frames: Tensor) -> None:

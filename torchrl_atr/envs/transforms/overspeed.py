@@ -1,4 +1,4 @@
-"""End the episodes of transporters that are too fast: training time goes to speeds that commands ask for."""
+"""Transform that ends the episodes of transporters that are faster than any command, for training."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 
 
 class OverspeedTermination(TerminateTransform):
-    """Terminate rows whose transporter is faster than any command that the curriculum can draw, plus a margin.
+    """Transform that terminates rows whose transporter is faster than any command of the curriculum plus a margin.
 
-    The tracking rewards exp(-|e| / 0.5) have no slope at an error of some metres per second: a board that ran away
-    gives no hint of how to stop it, and an untrained rider lets it run away within a second. Ending such episodes
-    keeps rollouts where there is something to learn; as the curriculum grows, so does what is allowed. It is for
-    training, not part of the task: evaluation does without it.
+    The tracking rewards exp(-|e| / 0.5) have no slope at an error of some metres per second, which an untrained robot
+    reaches within a second: such states give no learning signal. Ending such episodes keeps rollouts where rewards
+    have a slope; the limit grows with the curriculum. It is for training, not part of the task: evaluation does not
+    use it.
 
-    TorchRL's :class:`~torchrl.envs.transforms.TerminateTransform` ends the episodes. What it lacks is the price of
-    doing so: the env computed the reward before it knew that the episode ends, so the penalty is added here.
+    TorchRL's :class:`~torchrl.envs.transforms.TerminateTransform` ends the episodes but adds no penalty: the env
+    computed the reward before it knew that the episode ends, so the penalty is added here.
 
     Args:
         curriculum: whose frontier bounds the commands.
         margin: added to the largest ``|c_v|``, m/s, and ``|c_ω|``, rad/s.
-        penalty: what ending an episode early costs (r17); added to each of ``reward_keys``.
+        penalty: reward of an early termination (r17); added to each of ``reward_keys``.
         speeds_key: forward speed and yaw rate, ``(*B, 2)``.
         reward_keys: the reward and its term, ``(*B, 1)``.
 

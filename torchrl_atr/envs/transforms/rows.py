@@ -1,4 +1,4 @@
-"""What the command curriculum remembers of each row of its environment."""
+"""Per-row state of the command curriculum."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _FIELDS = ("command", "cells", "elapsed", "sums", "pinned")
 
 
 class CommandRows(nn.Module):
-    """One flat entry per environment row: its command, the command's cell, the state of its window, its pin.
+    """State of the environment's rows: their commands, the commands' cells, the state of their windows, their pins.
 
     A ``tensordict.TensorClass`` would hold the same fields; its ``load_state_dict`` takes no other batch size, and it
     does not move with a module. Everything is None until :meth:`allocate`. The fields move with ``.to()`` and travel
@@ -45,7 +45,7 @@ class CommandRows(nn.Module):
             self.register_buffer(name, None, persistent=False)
 
     def allocate(self, batch: torch.Size, axes: int, scores: int, dtype: torch.dtype, device: Any) -> None:
-        """Make rows for batch size ``batch``: commands of ``axes`` numbers at 0, no cell, no pin."""
+        """Allocate rows for batch size ``batch``: commands of ``axes`` numbers at 0, no cell, no pin."""
         n = batch.numel()
         self.batch = batch
         self.command = torch.zeros(n, axes, dtype=dtype, device=device)
@@ -55,7 +55,7 @@ class CommandRows(nn.Module):
         self.pinned = torch.zeros(n, dtype=torch.bool, device=device)
 
     def mask(self, mask: Tensor | None) -> Tensor:
-        """``mask``, bool ``(*B,)`` or ``(*B, 1)``, as bool ``(n,)``; None is all rows.
+        """Return ``mask``, bool ``(*B,)`` or ``(*B, 1)``, as bool ``(n,)``; None is all rows.
 
         Raises:
             ValueError: Another dtype or shape.
@@ -68,7 +68,7 @@ class CommandRows(nn.Module):
         return mask.reshape(-1).to(self.pinned.device)
 
     def pin(self, command: Tensor | Sequence[float], grid: CommandGrid, mask: Tensor | None) -> None:
-        """Give the rows in ``mask`` this command, ``(2,)`` or ``(*B, 2)``, and keep it from being drawn anew.
+        """Set the command of the rows in ``mask``, ``(2,)`` or ``(*B, 2)``, and exempt them from resampling.
 
         Raises:
             ValueError: Wrong shape, not finite, beyond the grid's bounds, or backwards where that is never drawn.
@@ -100,10 +100,10 @@ class CommandRows(nn.Module):
     def restart(self, rows: Tensor) -> None:
         """Begin a new window in ``rows``, bool ``(n,)``."""
         self.elapsed.masked_fill_(rows, 0)
-        self.sums.masked_fill_(rows[:, None], 0)  # not a product: a score that is not finite must not survive
+        self.sums.masked_fill_(rows[:, None], 0)  # not a product: NaN and infinity must be reset too
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Batch size and copies of the fields; all None before :meth:`allocate`."""
+        """Return the batch size and copies of the fields; all None before :meth:`allocate`."""
         if self.batch is None:
             return dict.fromkeys(("batch", *_FIELDS))
         return {"batch": list(self.batch), **{name: getattr(self, name).clone() for name in _FIELDS}}

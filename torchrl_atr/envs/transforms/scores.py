@@ -1,4 +1,4 @@
-"""What a command curriculum scores: rewards of tracking, as shares of what they come to at no error."""
+"""Scores of a command curriculum: tracking rewards as shares of their values at zero error."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A transform's own source of randomness, which follows the seeds that its env is given."""
+"""Random generator of a transform, which follows the seeds of its env."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def make_generator(seed: int | None) -> torch.Generator:
 
 
 def env_seeding(env: EnvBase | None) -> tuple[Any, ...] | None:
-    """Return what changes whenever an env is seeded, its seed last; None if it was not, or does not tell.
+    """Return a value that changes whenever an env is seeded, its seed last; None if it was not, or is unknown.
 
-    TorchRL hands ``env.set_seed(...)`` down to the base env, past all transforms. A base env tells in its attribute
+    TorchRL passes ``env.set_seed(...)`` to the base env, not to its transforms. A base env exposes it as its attribute
     ``seeding``, ``(how many times, seed)``, as :class:`~torchrl_atr.envs.RidingEnv` does.
     """
     while isinstance(env, TransformedEnv):
@@ -51,10 +51,10 @@ def env_seeding(env: EnvBase | None) -> tuple[Any, ...] | None:
 
 
 class OwnGenerator(Transform):
-    """A transform with a generator of its own, seeded by its constructor, :meth:`set_seed` or ``env.set_seed``.
+    """Transform with its own generator, seeded by its constructor, :meth:`set_seed` or ``env.set_seed``.
 
-    TorchRL's random transforms draw from torch's global generator: their draws depend on all that is drawn elsewhere. A
-    subclass draws from what :meth:`_source` returns.
+    TorchRL's random transforms draw from torch's global generator: their draws depend on all other draws. A subclass
+    draws from the generator that :meth:`_source` returns.
     """
 
     _generator: torch.Generator
@@ -70,7 +70,7 @@ class OwnGenerator(Transform):
         self._seen = env_seeding(env_around(self))
 
     def set_container(self, container: Transform | EnvBase) -> None:
-        """Attach to an env; seeds that it was given before do not count."""
+        """Attach to an env; its earlier seeds do not count."""
         super().set_container(container)
         env = env_around(self)
         if self._seen is _UNKNOWN and env is not None:

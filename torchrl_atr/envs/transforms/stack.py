@@ -1,4 +1,4 @@
-"""The standard transforms of an env with commands, in their order."""
+"""Standard transforms of an env with commands, in their order."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def task_transforms(
     compact_storage: bool = False,
     **curriculum: Any,
 ) -> Compose:
-    """Command, observation, history, time limit and episode reward, in the order that makes them agree.
+    """Return the transforms for command, observation, history, time limit and episode reward, in a consistent order.
 
     ``CommandCurriculum -> CatTensors -> ObservationHistory -> StepCounter -> RewardSum``: the observation is
     put together again after the command was resampled, and the history stores that observation. The
@@ -37,9 +37,9 @@ def task_transforms(
     Args:
         tracking_max: See :class:`CommandCurriculum`.
         history_length: H, past observations in ``history``.
-        include_current: Whether the history ends with o_t (reading A19).
+        include_current: Whether the history ends with o_t (question A19).
         max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
-        stagger: If positive, the first episodes end at different times, and the limit is looked at in every so many
+        stagger: If positive, the first episodes end at different times, and the limit is checked every ``stagger``
             steps: a :class:`RandomizedStepCounter`.
         overspeed_margin: If given, of a :class:`OverspeedTermination` behind the curriculum, m/s and rad/s.
         overspeed_penalty: Added to the reward where an episode ends for its speed.

@@ -1,4 +1,4 @@
-"""A time limit that robots which never fall do not all reach at once, nor each at a step of its own."""
+"""Time limit with randomised first episodes, so that robots which never fall do not all reset at once."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _NEVER = torch.iinfo(torch.int64).max
 
 
 class RandomizedStepCounter(OwnGenerator, StepCounter):
-    """A :class:`~torchrl.envs.StepCounter` whose counts start anywhere below ``max_steps`` when all envs begin at once.
+    """Step counter whose counts start anywhere below ``max_steps`` when all envs reset at once.
 
-    Robots that start together and do not fall end together, in every episode to come: a batch then is
-    the same short part of everybody's episode. An env that begins anew later counts from zero. TorchRL's
+    Robots that start together and do not fall end together, in all later episodes: a batch then is
+    the same short part of every episode. An env that resets later counts from zero. TorchRL's
     ``RandomTruncationTransform`` draws horizons from the global generator and compares once more at every step; this
     draws counts from its own.
 
-    New episodes cost a step of many envs about as much whether one begins or twenty. With ``every`` they begin
-    together: an episode that has lasted ``max_steps`` goes on to the next multiple of ``every`` steps of the env.
+    A reset of one env costs about as much as one of twenty. With ``every`` they reset together: an episode
+    that has lasted ``max_steps`` continues to the next multiple of ``every`` steps of the env.
 
     Args:
         max_steps (int): Steps after which an episode is truncated.
         seed (int, optional): Of the counts; ``env.set_seed`` of a :class:`~torchrl_atr.envs.RidingEnv` sets it, too.
-        every (int): The limit is looked at in every so many steps, from the env's first reset on. If ``max_steps`` is a
+        every (int): The limit is checked every so many steps, counted from the env's first reset. If ``max_steps`` is a
             multiple of it, only first episodes and those that began after a fall last longer. Defaults to 1.
 
     Raises:
@@ -59,7 +59,7 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
             if tensordict.get(reset_key, None) is None:
                 self._steps = 0
                 count = tensordict_reset.get(count_key)
-                drawn = torch.randint(self.max_steps, count.shape, generator=self._source())  # on the CPU, as anywhere
+                drawn = torch.randint(self.max_steps, count.shape, generator=self._source())  # on the CPU, always
                 tensordict_reset.set(count_key, drawn.to(count))
         return tensordict_reset
 
@@ -74,7 +74,7 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
             self.max_steps = limit
 
     def get_extra_state(self) -> dict[str, Any]:
-        """The env's steps since all of it was reset, and the generator."""
+        """Return the env's steps since its last full reset, and the generator's state."""
         return {"steps": self._steps, "generator": self._generator.get_state()}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:

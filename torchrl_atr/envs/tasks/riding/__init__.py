@@ -63,19 +63,19 @@ def riding(
         transporter: ``"single_board"`` or ``"two_board"`` in the robot's size, another registered name, path of a
             ``.toml`` file that describes one, or a spec.
         profile: name of a profile, or :class:`~torchrl_atr.envs.interpretation.Interpretation`.
-        sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or one of your own.
-        velocity_filter: how ``dead_reckoned_velocity`` is computed, a name of
+        sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or your own.
+        velocity_filter: method of ``dead_reckoned_velocity``, a name of
             :data:`~torchrl_atr.envs.tasks.dead_reckoning.METHODS`.
-        pushes: whether robot and platform are pushed, every 3 s, or how.
+        pushes: whether robot and transporter are pushed, every 3 s, or the sizes and interval.
         gains: nominal PD gains, see :data:`~torchrl_atr.envs.tasks.parameters.Gains`; None for the robot's own.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
             pushes (for training).
         rewards: the terms of the reward by name.
-        steering_weight_peak: factor of r1 in what is learned from, at its peak: it rises from 1 until
-            ``steering_weight_peak_at``. A turn is paid late and through more noise than a speed: once speeds are held,
-            it may count more.
-        steering_weight_end: what it sinks to from there until training ends, for which fewer fall.
+        steering_weight_peak: factor of r1 in the learner's reward, at its peak: it rises from 1 until
+            ``steering_weight_peak_at``. The reward of a turn comes later and with more noise than that of a speed: once
+            speeds are tracked, it may have a larger weight.
+        steering_weight_end: the factor that it falls to from there until training ends, so that fewer robots fall.
         steering_weight_peak_at: share of the training, in (0, 1].
 
     Raises:

@@ -1,4 +1,4 @@
-"""The drive law: how the boards' tilt drives a transporter (Eqs. 1-3 and 7-10), before every substep."""
+"""Drive law: propulsion of a transporter by its boards' tilt (Eqs. 1-3 and 7-10), before every substep."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def advance(
         coefficients: of R.
         scale: 1 / m_P or 1 / I_zz, or relative to nominal (A9), same shape or scalar.
         dt: s.
-        readings: how R is read.
+        readings: interpretation of R.
     """
     if readings.odd_resistance and not readings.coulomb_smoothing:
         free = x + dt * scale * push
@@ -71,11 +71,11 @@ def advance(
 
 
 Combination = tuple[Tensor, ...] | None
-"""What :func:`combine` multiplies hinge angles by: the rows of a matrix (hinges, 2); None for the identity."""
+"""Factors of hinge angles in :func:`combine`: the rows of a matrix (hinges, 2); None for the identity."""
 
 
 def combination(matrix: Matrix, dtype: torch.dtype) -> Combination:
-    """Return what makes forward and steering tilt, or pitch and roll, of hinge angles.
+    """Return the factors that map hinge angles to forward and steering tilt, or pitch and roll.
 
     Args:
         matrix: of a :class:`~torchrl_atr.envs.models.transporter.Design`, (2, hinges).
@@ -86,7 +86,7 @@ def combination(matrix: Matrix, dtype: torch.dtype) -> Combination:
 
 
 def combine(angles: Tensor, rows: Combination) -> Tensor:
-    """Return ``angles @ matrix`` of (N, hinges) and (hinges, 2), written out, in memory of its own.
+    """Return ``angles @ matrix`` of (N, hinges) and (hinges, 2), written out, in new memory.
 
     A matrix product wakes torch's threads, which then spin on the CPUs that physics needs, and ends a compiled loop.
 
@@ -104,7 +104,7 @@ def combine(angles: Tensor, rows: Combination) -> Tensor:
 
 @dataclass(frozen=True)
 class DriveLaw:
-    """Eqs. 1-3 (or 7-10) for N transporters: tilt and speeds in, speeds one substep later out; float64.
+    """Drive law, Eqs. 1-3 (or 7-10), of N transporters: from tilt and speeds to speeds one substep later; float64.
 
     Attributes:
         transporter: geometry, mass, limits, and the design's own ``drive``.
@@ -126,10 +126,10 @@ class DriveLaw:
         object.__setattr__(self, "_driving", combination(self.transporter.design.driving, torch.float64))
 
     def mass_scale(self, mass: Tensor) -> Tensor:
-        """Compute what multiplies (drive - R): 1/m_P and 1/I_zz, or relative to the nominal transporter (A9).
+        """Compute the factors of (drive - R): 1/m_P and 1/I_zz, or relative to the nominal transporter (A9).
 
         Args:
-            mass: platform mass, kg, shape (N,).
+            mass: mass of all boards, kg, shape (N,).
 
         Returns:
             Shape (N, 2): forward, yaw. The boards are uniform boxes, so I_zz (or I*_zz) follows their mass.
@@ -138,7 +138,7 @@ class DriveLaw:
         return (self._per_mass[1:] * self.transporter.mass if self.readings.relative_mass else 1.0) / inertia
 
     def planar_inertia(self, mass: Tensor) -> Tensor:
-        """Compute what resists along x, along y and about z, kg, kg and kg m², (N, 3), for masses, kg, (N,)."""
+        """Compute the inertia along x, along y and about z, kg, kg and kg m², (N, 3), for masses, kg, (N,)."""
         return mass.unsqueeze(-1) * self._per_mass
 
     @cached_property
@@ -160,7 +160,7 @@ class DriveLaw:
 
 
 class DriveHook(SubstepHook):
-    """Evaluates the drive law before every substep, and applies the planar force that realises it in that substep.
+    """Hook that evaluates the drive law before every substep and applies the planar force that realises it.
 
     Writing velocities instead would hide the boards' acceleration from the contact solver and let the feet slip.
 
@@ -188,12 +188,12 @@ class DriveHook(SubstepHook):
         self.refresh(torch.arange(n))
 
     def start(self, rows: Tensor) -> None:
-        """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`; transporters head along x at first."""
+        """Start episodes of ``rows``; transporters initially head along x."""
         self.refresh(rows)
         self.speeds[rows] = self.engine.qvel[rows][:, self._planar][:, ::2]  # along x and about z
 
     def refresh(self, rows: Tensor) -> None:
-        """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`; the boards' masses are in the engine's fields."""
+        """Recompute the factors and inertia of ``rows`` from the boards' masses in the engine's fields."""
         mass = self.engine.fields["body_mass"][rows][:, self._boards].sum(-1)
         self._scale[rows] = self.law.mass_scale(mass)
         self._inertia[rows] = self._armature + self.law.planar_inertia(mass)
@@ -204,18 +204,18 @@ class DriveHook(SubstepHook):
         self.speeds.copy_(self.law(self.speeds, engine.qpos[:, self._tilt], self._scale, dt))
         speed, yaw_rate = self.speeds.unbind(-1)
         heading = torch.add(engine.qpos[:, self._heading], yaw_rate, alpha=dt)
-        x, y, about_z = force.unbind(-1)  # Eq. 2: first the velocity that is wanted
+        x, y, about_z = force.unbind(-1)  # Eq. 2: first the desired velocity
         torch.mul(speed, torch.cos(heading), out=x)
         torch.mul(speed, torch.sin(heading), out=y)
         about_z.copy_(yaw_rate)
         engine.qfrc_applied[:, self._planar] = force.sub_(engine.qvel[:, self._planar]).mul_(self._inertia).div_(dt)
 
     def lose(self, rows: Tensor) -> None:
-        """See :class:`~torchrl_atr.envs.physics.hook.SubstepHook`: those stand still."""
+        """Set the speeds of simulations that diverged to zero."""
         self.speeds[rows] = 0.0
 
     def acceleration(self, rows: Tensor | slice = slice(None)) -> Tensor:
-        """Compute v̇ and α that the law gives ``rows`` at their present tilt and speeds, m/s² and rad/s², (n, 2)."""
+        """Compute v̇ and α of the law for ``rows`` at their present tilt and speeds, m/s² and rad/s², (n, 2)."""
         speeds, tilt = self.speeds[rows], self.engine.qpos[rows][:, self._tilt]
         with one_torch_thread():
             return (self.law(speeds, tilt, self._scale[rows], TIMESTEP) - speeds) / TIMESTEP

@@ -1,4 +1,4 @@
-"""What the critic sees besides the state: where the tilt of this moment leads, measured as the reward measures it."""
+"""Additional critic input: tracking rewards that the present tilt leads to if it lasts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from torchrl_atr.envs.tasks.mirrors import FORWARD_YAW
 from torchrl_atr.envs.tasks.tracking import tracking_kernel
 
 HORIZONS = (0.0, 0.5, 1.0, 2.0)
-"""Seconds ahead at which the tracking kernels are evaluated."""
+"""Horizons, s, at which the tracking kernels are evaluated."""
 
 
 FORECAST_MIRROR = (-1.0, 1.0, *FORWARD_YAW, *FORWARD_YAW, *(1.0, 1.0) * len(HORIZONS))
@@ -20,9 +20,9 @@ FORECAST_MIRROR = (-1.0, 1.0, *FORWARD_YAW, *FORWARD_YAW, *(1.0, 1.0) * len(HORI
 def tracking_forecast(c: StepContext) -> Tensor:
     """Compute driving tilts, driven accelerations, tracking errors and the tracking kernels a few moments ahead.
 
-    A lean pays seconds later, through the tilt it causes, and the yaw drive is a product: sgn(θ_y) clip(-θ_x). A value
-    function that has to find this in joint angles credits a lean late and through much noise; told outright, the
-    advantage of a lean is seen at once. Only the critic reads it, and the critic is not deployed.
+    The reward of a lean comes seconds later, through the tilt it causes, and the yaw drive is a product:
+    sgn(θ_y) clip(-θ_x). A value function that must infer this from joint angles assigns credit late and with much
+    noise; given as an input, the advantage of a lean is immediate. Only the critic reads it; it is not deployed.
 
     Args:
         c: its command is (c_v, c_ω), (N, 2).

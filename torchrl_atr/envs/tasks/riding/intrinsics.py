@@ -1,4 +1,4 @@
-"""Table II: the intrinsic parameters x_int of robot and transporter, their ranges, and how they reach the model."""
+"""Table II: the intrinsic parameters x_int of robot and transporter, and the functions that write them to the model."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from torchrl_atr.envs.tasks.intrinsic_parameters import IntrinsicParameter
 from torchrl_atr.envs.tasks.parameters import robot_parameters, scale_body, scaled
 
 _MIN_MASS_SHARE = 0.1
-"""A platform never gets lighter than this share of its nominal mass (A14)."""
+"""Smallest mass of a transporter as a share of its nominal mass (A14)."""
 
 
 def riding_intrinsics(
     robot: RobotSpec, transporter: TransporterSpec, readings: Interpretation
 ) -> dict[str, IntrinsicParameter]:
-    """Return Table II by name in its order; the self-balancing gains are ratios of their ranges' midpoints.
+    """Return Table II's parameters by name, in its order; self-balancing gains are ratios of their ranges' midpoints.
 
     Args:
         robot: its nominal gains.
@@ -89,7 +89,7 @@ def _sides(scene: Scene) -> Tensor:
                         "symmetric=false"
                     )
     for gain in range(2):
-        if not matrix[gain].any():  # of no hinge
+        if not matrix[gain].any():  # a gain without a hinge
             matrix[gain, gain] = 1.0
     return matrix
 

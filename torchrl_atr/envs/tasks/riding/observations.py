@@ -1,4 +1,4 @@
-"""What a rider observes (Table I): proprioception, the extrinsic privileged state, and what the critic sees besides."""
+"""Observations of riding (Table I): proprioception, extrinsic privileged state, additional critic inputs."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from torchrl_atr.envs.tasks.rotations import rotate_back
 
 
 def platform_velocity(c: StepContext) -> Tensor:
-    """v_P in the body frame, m/s, (N, 3)."""
+    """Return v_P in the body frame, m/s, (N, 3)."""
     return rotate_back(c.state.rotation, c.state.platform_velocity)
 
 
 def platform_angular_velocity(c: StepContext) -> Tensor:
-    """ω_P in the body frame, rad/s, (N, 3)."""
+    """Return ω_P in the body frame, rad/s, (N, 3)."""
     return rotate_back(c.state.rotation, c.state.platform_angular_velocity)
 
 
 def relative_position(c: StepContext) -> Tensor:
-    """p_B,xy in the frame of P, m, (N, 2)."""
+    """Return p_B,xy in the frame of P, m, (N, 2)."""
     return c.state.relative_position
 
 
 def relative_yaw(c: StepContext) -> Tensor:
-    """θ_B,z in the frame of P, rad, (N, 1)."""
+    """Return θ_B,z in the frame of P, rad, (N, 1)."""
     return c.state.relative_yaw
 
 
@@ -53,12 +53,12 @@ def extrinsic(readings: Interpretation) -> dict[str, ObservationTerm]:
 
 
 def observations(readings: Interpretation, proprio: Group, dead_reckoned: Group) -> Mapping[NestedKey, Group]:
-    """Return the groups of what a rider and its critic observe.
+    """Return the groups of observations of the robot and its critic.
 
     Args:
         readings: which components the extrinsic state has (A1).
-        proprio: what is sensed.
-        dead_reckoned: what is computed of it.
+        proprio: group of sensor values.
+        dead_reckoned: group of the velocity computed from them.
     """
     return {
         "proprio": proprio,

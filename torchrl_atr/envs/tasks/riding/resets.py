@@ -1,4 +1,4 @@
-"""How rides begin, what pushes them, and what ends them early (A33, A34)."""
+"""Initial states, pushes and terminations of riding (A33, A34)."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from torchrl_atr.envs.tasks.events import (
 )
 
 DISPLACEMENT = (0.1, 0.06)
-"""How far ahead and to the side of the middle a displaced robot starts at most, m."""
+"""Largest initial displacement of a robot along x and y from the middle of the boards, m."""
 TURN = 0.2
-"""How far it is turned at most, rad."""
+"""Largest initial yaw of a displaced robot, rad."""
 
 
 def push(engine: Engine, rows: Tensor, generator: torch.Generator, pushes: Pushes = Pushes()) -> None:
-    """Kick ``rows``: the robot in the plane, the platform through the drive law's state.
+    """Push ``rows``: the robot in the plane, the transporter through the drive law's state.
 
     Args:
         engine: whose ``qvel`` and hook's ``speeds`` change.
@@ -46,7 +46,7 @@ def push(engine: Engine, rows: Tensor, generator: torch.Generator, pushes: Pushe
 
 
 def start(moving: float = 0.0, displaced: float = 0.0) -> Reset:
-    """Return how rides begin: standing at rest in the middle, but for two shares of the starts, for training.
+    """Return the reset function: standing at rest in the middle, but for two shares of the starts, for training.
 
     Args:
         moving: share of the starts that are on the move, in [0, 1].
@@ -58,11 +58,11 @@ def start(moving: float = 0.0, displaced: float = 0.0) -> Reset:
 def _start(moving: float, displaced: float, scene: Scene, command: Tensor, generator: torch.Generator) -> InitialState:
     """Start in the standing pose, not moving relative to the transporter.
 
-    The transporter may move at part of the command: tracking kernels are steepest near their peak, and the yaw that a
-    lean earns comes seconds later. A rider that starts at (part of) the commanded yaw rate feels at once that leaning
-    keeps it, one that starts at rest pays for the lean long before it turns. Each component of a moving start is
-    uniform between 0 and its command. A displaced robot stands up to :data:`DISPLACEMENT` from the middle and turned
-    by up to :data:`TURN`, as after a minute of pushes, and learns to step back.
+    The transporter may move at part of the command: tracking kernels are steepest near their peak, and the yaw rate
+    follows a lean by seconds. A robot that starts at (part of) the commanded yaw rate is rewarded at once for a lean
+    that keeps it; one that starts at rest has the costs of the lean long before it turns. Each component of a moving
+    start is uniform between 0 and its command. A displaced robot stands up to :data:`DISPLACEMENT` from the middle and
+    turned by up to :data:`TURN`, as after a minute of pushes, and must step back.
     """
     n = len(command)
     draw = torch.rand(n, 4, generator=generator, dtype=torch.float64)
@@ -93,10 +93,10 @@ def _displace(scene: Scene, qpos: Tensor, place: Tensor) -> None:
 
 
 def off_the_boards(c: StepContext) -> Tensor:
-    """Body centre beyond the boards, (N,)."""
+    """Return whether the body's centre is beyond the boards, (N,)."""
     length, width = c.scene.support.size
     return (c.state.relative_position.abs() > c.action.new_tensor([length / 2, width / 2])).any(-1)
 
 
 TERMINATIONS: Mapping[str, Termination] = {"tilted": tilted, "off_the_boards": off_the_boards, "too_low": too_low}
-"""When an episode ends early (A34): the robot risks flipping, or falling off or onto the transporter."""
+"""Early terminations (A34): the robot risks flipping, or falling off or onto the transporter."""

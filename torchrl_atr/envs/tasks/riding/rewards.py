@@ -19,52 +19,52 @@ FORCE_TOLERANCE = 100.0
 
 
 def forward_command(c: StepContext) -> Tensor:
-    """r0: exp(-|v_P,x - c_v| / 0.5), with v in P_planar (the printed p is read as v, A7)."""
+    """Compute r0: exp(-|v_P,x - c_v| / 0.5), with v in P_planar (the printed p is read as v, A7)."""
     return tracking_kernel(c.state.speeds[:, 0] - c.command[:, 0])
 
 
 def steering_command(c: StepContext) -> Tensor:
-    """r1: exp(-|ω_P,z - c_ω| / 0.5)."""
+    """Compute r1: exp(-|ω_P,z - c_ω| / 0.5)."""
     return tracking_kernel(c.state.speeds[:, 1] - c.command[:, 1])
 
 
 def position_alignment(c: StepContext) -> Tensor:
-    """r2: ‖p_B,xy - p_P,xy‖."""
+    """Compute r2: ‖p_B,xy - p_P,xy‖."""
     return (c.state.position - c.state.platform_position)[:, :2].norm(dim=-1)
 
 
 def heading_alignment(c: StepContext) -> Tensor:
-    """r3: |θ_B,z - θ_P,z|."""
+    """Compute r3: |θ_B,z - θ_P,z|."""
     return c.state.relative_yaw[:, 0].abs()
 
 
 def com_stabilization(c: StepContext) -> Tensor:
-    """r4: [CoM outside the foot polygon], of all four feet or of those in contact (A31)."""
+    """Compute r4: [CoM outside the foot polygon], of all four feet or of those in contact (A31)."""
     return _outside_feet(c, c.state.com[:, :2])
 
 
 def zmp_stabilization(c: StepContext) -> Tensor:
-    """r5: [ZMP outside the foot polygon]."""
+    """Compute r5: [ZMP outside the foot polygon]."""
     return _outside_feet(c, zero_moment_point(c.state))
 
 
 def contact_maintenance(c: StepContext) -> Tensor:
-    """r6: (4 - Σ c_i)."""
+    """Compute r6: (4 - Σ c_i)."""
     return (1.0 - c.state.contacts).sum(-1)
 
 
 def height_maintenance(c: StepContext) -> Tensor:
-    """r7: |(p_B,z - p_P,z) - h_des|; h_des is given above the board's top, p_P is its centre (A35)."""
+    """Compute r7: |(p_B,z - p_P,z) - h_des|; h_des is given above the board's top, p_P is its centre (A35)."""
     desired = c.robot.standing_height + c.scene.support.spec.size[2] / 2
     return (c.state.position[:, 2] - c.state.platform_position[:, 2] - desired).abs()
 
 
 def transporter_smoothness(c: StepContext) -> Tensor:
-    """r8: ‖v̇_P‖ + ‖α_P‖, by default what the drive gives (Eqs. 1 and 3), else differences of P's velocity (A32).
+    """Compute r8: ‖v̇_P‖ + ‖α_P‖, by default of the drive (Eqs. 1 and 3), else differences of P's velocity (A32).
 
-    The text wants abrupt transporter accelerations "slightly" penalised for their inertia effects. P's velocity
-    changes in a steady turn too, by v ω: at 2 m/s one rad/s more costs 2 a second, of the 8 that it can earn, and
-    riders turn half as fast as they are told to. With the board's roll and pitch in α_P the term is -9 a second at an
+    The paper penalises abrupt transporter accelerations "slightly" for their inertia effects. P's velocity
+    changes in a steady turn too, by v ω: at 2 m/s one more rad/s costs 2 per second, of the 8 that it can earn, and
+    robots turn half as fast as commanded. With the board's roll and pitch in α_P the term is -9 per second at an
     action noise of 0.2, against +16 for perfect tracking, and robots learn to end their episodes.
     """
     if c.readings.driven_smoothness:
@@ -73,57 +73,57 @@ def transporter_smoothness(c: StepContext) -> Tensor:
 
 
 def body_orientation(c: StepContext) -> Tensor:
-    """r9: ‖θ_B,xy‖."""
+    """Compute r9: ‖θ_B,xy‖."""
     return c.state.euler[:, :2].norm(dim=-1)
 
 
 def body_velocity(c: StepContext) -> Tensor:
-    """r10: ‖ω_B,xy‖ + |v_B,z|."""
+    """Compute r10: ‖ω_B,xy‖ + |v_B,z|."""
     return c.state.angular_velocity[:, :2].norm(dim=-1) + c.state.velocity[:, 2].abs()
 
 
 def action_smoothness(c: StepContext) -> Tensor:
-    """r11: ‖a_t - a_{t-1}‖."""
+    """Compute r11: ‖a_t - a_{t-1}‖."""
     return (c.action - c.previous_action).norm(dim=-1)
 
 
 def joint_torque(c: StepContext) -> Tensor:
-    """r12, its first part: ‖τ‖."""
+    """Compute r12, its first part: ‖τ‖."""
     return c.state.torque.norm(dim=-1)
 
 
 def joint_velocity(c: StepContext) -> Tensor:
-    """r12, its second part: ‖q̇‖."""
+    """Compute r12, its second part: ‖q̇‖."""
     return c.state.joint_velocity.norm(dim=-1)
 
 
 def joint_acceleration(c: StepContext) -> Tensor:
-    """r12, its third part: ‖q̈‖."""
+    """Compute r12, its third part: ‖q̈‖."""
     return c.state.joint_acceleration.norm(dim=-1)
 
 
 def postural_deviation(c: StepContext) -> Tensor:
-    """r13: ‖q - q0‖."""
+    """Compute r13: ‖q - q0‖."""
     return (c.state.joint_position - c.action.new_tensor(c.robot.q0)).norm(dim=-1)
 
 
 def energy_efficiency(c: StepContext) -> Tensor:
-    """r14: Σ max(τ_j q̇_j, 0), both of the same instant."""
+    """Compute r14: Σ max(τ_j q̇_j, 0), both of the same instant."""
     return (c.state.torque * c.state.torque_velocity).clamp_min(0.0).sum(-1)
 
 
 def force_regulation(c: StepContext) -> Tensor:
-    """r15: Σ max(‖f_i‖ - f_tol, 0)."""
+    """Compute r15: Σ max(‖f_i‖ - f_tol, 0)."""
     return (c.state.foot_load - FORCE_TOLERANCE).clamp_min(0.0).sum(-1)
 
 
 def collision_avoidance(c: StepContext) -> Tensor:
-    """r16: [something other than a foot touches the boards]."""
+    """Compute r16: [something other than a foot touches the boards]."""
     return (c.state.other_force.norm(dim=-1) > CONTACT_THRESHOLD).to(c.action.dtype)
 
 
 def termination(c: StepContext) -> Tensor:
-    """r17: [early termination]."""
+    """Compute r17: [early termination]."""
     return c.terminated.to(c.action.dtype)
 
 
@@ -137,7 +137,7 @@ def _outside_feet(c: StepContext, point: Tensor) -> Tensor:
 
 
 def outside_polygon(point: Tensor, feet: Tensor, contacts: Tensor | None = None) -> Tensor:
-    """Whether a point lies outside the polygon of the feet.
+    """Return whether a point lies outside the polygon of the feet.
 
     Args:
         point: (N, 2).
@@ -148,7 +148,7 @@ def outside_polygon(point: Tensor, feet: Tensor, contacts: Tensor | None = None)
         (N,) 0 or 1.
     """
     corners = feet.index_select(1, _AROUND)
-    if contacts is not None:  # one lifted foot moves onto the next: its edge shrinks to a point
+    if contacts is not None:  # a lifted foot is moved onto the next: its edge becomes a point
         lifted = ~contacts.index_select(1, _AROUND).unsqueeze(-1)
         corners = torch.where(lifted, corners.roll(-1, dims=1), corners)
     edges = corners.roll(-1, dims=1) - corners
@@ -161,7 +161,7 @@ def outside_polygon(point: Tensor, feet: Tensor, contacts: Tensor | None = None)
 
 
 def zero_moment_point(state: RidingState) -> Tensor:
-    """ZMP on the plane of the feet from the body's acceleration, the platform's included (A31), m, (N, 2)."""
+    """Compute the ZMP on the plane of the feet from the body's acceleration, and the transporter's (A31), m, (N, 2)."""
     height = state.com[:, 2] - state.foot_position[..., 2].mean(-1)
     vertical = (state.acceleration[:, 2] + GRAVITY).clamp_min(0.1 * GRAVITY)
     return state.com[:, :2] - (height / vertical).unsqueeze(-1) * state.acceleration[:, :2]

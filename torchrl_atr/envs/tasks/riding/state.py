@@ -1,4 +1,4 @@
-"""The riding state: what a robot's state lacks of the transporter below it."""
+"""State of riding: that of the robot, and of the transporter below it."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from torchrl_atr.envs.tasks.state import QuadrupedState, Rows, SimulationSnapsho
 
 @dataclass
 class RidingState(QuadrupedState):
-    """A robot's state and that of its transporter, float32, world frame unless the name says otherwise.
+    """State of a robot and its transporter, float32, world frame unless the name says otherwise.
 
     Attributes:
         platform_position, platform_velocity, platform_acceleration: of the pivot P, (N, 3).
         platform_rotation: (N, 3, 3); platform_euler: (N, 3), yaw in [-π, π]. Of two boards, P has the average
             pitch and no roll.
-        driving_tilt: forward and steering tilt, what drives the transporter (Eqs. 1, 3, 7), rad, (N, 2).
+        driving_tilt: forward and steering tilt, which drive the transporter (Eqs. 1, 3, 7), rad, (N, 2).
         platform_angular_velocity, platform_angular_acceleration: world frame, (N, 3).
         speeds: the drive law's forward speed and yaw rate in P_planar, (N, 2).
-        driven_acceleration: v̇ and α that the law gives at this tilt, m/s² and rad/s², (N, 2).
-        relative_position: of the body in the platform frame, horizontal part, m, (N, 2).
-        relative_yaw: heading of the body relative to the platform, rad, (N, 1).
+        driven_acceleration: v̇ and α of the law at this tilt, m/s² and rad/s², (N, 2).
+        relative_position: of the body in the frame of P, horizontal part, m, (N, 2).
+        relative_yaw: heading of the body relative to P, rad, (N, 1).
     """
 
     platform_position: Tensor
@@ -53,13 +53,13 @@ class RidingState(QuadrupedState):
 
 
 class RidingStateExtractor(StateExtractor):
-    """Reads a :class:`RidingState` out of an engine whose hook is a :class:`DriveHook`."""
+    """Extractor of a :class:`RidingState` from an engine whose hook is a :class:`DriveHook`."""
 
     state_type = RidingState
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
-        _ = self._hook  # one of another kind is refused here
+        _ = self._hook  # raises for a hook of another type
         layout = engine.scene.support_layout
         self._planar_qpos, self._planar_dof = columns(layout.planar_qpos), columns(layout.planar_dof)
         self._heading = int(layout.planar_qpos[2])
@@ -79,21 +79,21 @@ class RidingStateExtractor(StateExtractor):
         return hook
 
     def gather(self, rows: Rows = slice(None)) -> SimulationSnapshot:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`; the heading, which is unbounded, in [-π, π]."""
+        """Return the engine's tensors of ``rows``; the heading, which is unbounded, wrapped to [-π, π]."""
         snapshot, hook = super().gather(rows), self._hook
         heading = self.engine.qpos[rows][:, self._heading]
-        # wrapped before the cast: float32 would lose it
+        # wrapped before the cast: float32 would lose precision
         snapshot["qpos"][:, self._heading] = heading - 2 * math.pi * (heading / (2 * math.pi)).round()
         snapshot["speeds"] = single(hook.speeds[rows])
         snapshot["driven_acceleration"] = single(hook.acceleration(rows))
         return snapshot
 
     def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`; v_P and ω_P follow."""
+        """Return the velocities that the next state differentiates, (n, V): v_B, q̇, v_P and ω_P."""
         qvel = snapshot["qvel"]
         planar = qvel[:, self._planar_dof]
         rates = torch.cat([combine(qvel[:, self._tilt_dof], self._roll_and_pitch), planar[:, 2:]], -1)
-        platform = pad(planar[:, :2], (0, 1))  # it keeps its height
+        platform = pad(planar[:, :2], (0, 1))  # its height is constant
         turning = angular_velocity(self._platform_euler(snapshot), rates)
         return torch.cat([super().velocities_of(snapshot), platform, turning], -1)
 
@@ -104,7 +104,7 @@ class RidingStateExtractor(StateExtractor):
         return torch.cat([attitude, qpos[:, self._planar_qpos][:, 2:]], -1)
 
     def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        """Return the fields of the state, see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         qpos, euler = snapshot["qpos"], self._platform_euler(snapshot)
         return {
             **super().parts(snapshot, velocities, rates),

@@ -49,8 +49,8 @@ def walking(
     Args:
         robot: name of a registered robot, path of a ``.toml`` file that describes one, or a spec of your own.
         profile: name of a profile, or :class:`~torchrl_atr.envs.interpretation.Interpretation`.
-        sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or one of your own.
-        pushes: whether the robot is pushed, every 3 s, or how.
+        sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or your own.
+        pushes: whether the robot is pushed, every 3 s, or the sizes and interval.
         gains: nominal PD gains, see :data:`~torchrl_atr.envs.tasks.parameters.Gains`; None for the robot's own.
         max_speed: largest commanded speed, m/s; None for 1.5 or, of large robots, 3.
         rewards: the terms of the reward by name.
@@ -105,7 +105,7 @@ def walking(
 
 
 def _errors(c: StepContext) -> Tensor:
-    """Errors of speed and yaw rate, speed to the side, height, (N, 4)."""
+    """Return errors of speed and yaw rate, lateral speed, height, (N, 4)."""
     state = c.state
     return cat([state.speeds - c.command, state.lateral_speed.unsqueeze(-1), state.height.unsqueeze(-1)], -1)
 

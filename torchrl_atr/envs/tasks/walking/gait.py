@@ -1,4 +1,4 @@
-"""The gait: a trot by a clock, which runs faster with the speed that is asked for and stops for standing still."""
+"""Trot gait by a clock, which runs faster with the commanded speed and stops for standing still."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.memory_terms import MemoryTerm
 
 FREQUENCY = (2.0, 0.5)
-"""Steps of a leg a second: at rest, and for each m/s of the commanded speed."""
+"""Step frequency of a leg, Hz: at rest, and its increase per m/s of the commanded speed."""
 DUTY = 0.5
-"""Share of a cycle that a leg stands."""
+"""Share of a cycle that a leg is in stance."""
 SWING_HEIGHT = 0.06
 """Highest point of a swing above the stand, m."""
 MOVING = 0.1
-"""Commands below this, m/s and rad/s, ask for standing still."""
+"""Commands below this, m/s and rad/s, mean standing still."""
 LEG_PHASE = torch.tensor([0.0, 0.5, 0.5, 0.0])
 """Phases of FR, RR, FL, RL: diagonal legs together."""
 
 
 def moving(c: StepContext) -> Tensor:
-    """Return 1 where the command asks for more than standing still, (N,)."""
+    """Return 1 where the command is more than standing still, (N,)."""
     return (c.command.abs() > MOVING).any(-1).to(c.action.dtype)
 
 
@@ -38,11 +38,11 @@ def _air_time(c: StepContext) -> Tensor:
 
 
 MEMORY = {"phase": MemoryTerm(1, _advance), "air_time": MemoryTerm(4, _air_time)}
-"""The clock's phase in [0, 1), and for how long each foot has been in the air, s."""
+"""Memory terms of the gait: the clock's phase in [0, 1), and the air time of each foot, s."""
 
 
 def clock(c: StepContext) -> Tensor:
-    """Sine and cosine of the clock's phase; zero while the robot is to stand still, (N, 2)."""
+    """Return sine and cosine of the clock's phase; zero while the robot is to stand still, (N, 2)."""
     angle = 2.0 * math.pi * c.memory["phase"]
     return moving(c).unsqueeze(-1) * torch.cat([angle.sin(), angle.cos()], -1)
 
@@ -52,7 +52,7 @@ CLOCK_MIRROR = (-1.0, -1.0)
 
 
 def gait(c: StepContext) -> Tensor:
-    """Return how well feet keep the trot: on the ground in stance, at the height of the swing in the air, (N,)."""
+    """Return the score of the trot: feet on the ground in stance, at the height of the swing in the air, (N,)."""
     phase = (c.memory["phase"] + LEG_PHASE) % 1.0
     swing = 1.0 - DUTY
     swinging = (phase < swing).to(c.action.dtype) * moving(c).unsqueeze(-1)

@@ -1,4 +1,4 @@
-"""What walking is rewarded for."""
+"""Reward terms of walking."""
 
 from __future__ import annotations
 
@@ -18,97 +18,97 @@ from torchrl_atr.envs.tasks.walking.gait import gait, moving
 
 
 def forward_command(c: StepContext) -> Tensor:
-    """exp(-|v - c_v| / 0.5)."""
+    """Compute exp(-|v - c_v| / 0.5)."""
     return tracking_kernel(c.state.speeds[:, 0] - c.command[:, 0])
 
 
 def turning_command(c: StepContext) -> Tensor:
-    """exp(-|ω - c_ω| / 0.5)."""
+    """Compute exp(-|ω - c_ω| / 0.5)."""
     return tracking_kernel(c.state.speeds[:, 1] - c.command[:, 1])
 
 
 def speed_error(c: StepContext) -> Tensor:
-    """|v - c_v|: a slope where the kernel has none."""
+    """Compute |v - c_v|, which has a slope where the kernel has none."""
     return (c.state.speeds[:, 0] - c.command[:, 0]).abs()
 
 
 def lateral_speed(c: StepContext) -> Tensor:
-    """Square of the speed to the side."""
+    """Compute the square of the lateral speed."""
     return c.state.lateral_speed.square()
 
 
 def vertical_speed(c: StepContext) -> Tensor:
-    """Square of the vertical speed."""
+    """Compute the square of the vertical speed."""
     return c.state.velocity[:, 2].square()
 
 
 def rolling_and_pitching(c: StepContext) -> Tensor:
-    """‖ω_B,xy‖²."""
+    """Compute ‖ω_B,xy‖²."""
     return c.state.angular_velocity[:, :2].square().sum(-1)
 
 
 def orientation(c: StepContext) -> Tensor:
-    """‖θ_B,xy‖²."""
+    """Compute ‖θ_B,xy‖²."""
     return c.state.euler[:, :2].square().sum(-1)
 
 
 def height(c: StepContext) -> Tensor:
-    """(h - h_des)²."""
+    """Compute (h - h_des)²."""
     return (c.state.height - c.robot.standing_height).square()
 
 
 def joint_torque(c: StepContext) -> Tensor:
-    """‖τ‖²."""
+    """Compute ‖τ‖²."""
     return c.state.torque.square().sum(-1)
 
 
 def joint_power(c: StepContext) -> Tensor:
-    """Σ max(τ_j q̇_j, 0), both of the same instant."""
+    """Compute Σ max(τ_j q̇_j, 0), both of the same instant."""
     return (c.state.torque * c.state.torque_velocity).clamp_min(0.0).sum(-1)
 
 
 def joint_acceleration(c: StepContext) -> Tensor:
-    """‖q̈‖²."""
+    """Compute ‖q̈‖²."""
     return c.state.joint_acceleration.square().sum(-1)
 
 
 def action_rate(c: StepContext) -> Tensor:
-    """‖a_t - a_{t-1}‖²."""
+    """Compute ‖a_t - a_{t-1}‖²."""
     return (c.action - c.previous_action).square().sum(-1)
 
 
 def abduction(c: StepContext) -> Tensor:
-    """‖q - q0‖² of the abduction joints."""
+    """Compute ‖q - q0‖² of the abduction joints."""
     return _deviation(c)[:, ::3].square().sum(-1)
 
 
 def posture(c: StepContext) -> Tensor:
-    """‖q - q0‖²."""
+    """Compute ‖q - q0‖²."""
     return _deviation(c).square().sum(-1)
 
 
 def standing_posture(c: StepContext) -> Tensor:
-    """‖q - q0‖² while the robot is to stand still."""
+    """Compute ‖q - q0‖² while the robot is to stand still."""
     return posture(c) * (1.0 - moving(c))
 
 
 def standing_feet(c: StepContext) -> Tensor:
-    """Feet in the air while the robot is to stand still."""
+    """Count feet in the air while the robot is to stand still."""
     return (1.0 - c.state.contacts).sum(-1) * (1.0 - moving(c))
 
 
 def slip(c: StepContext) -> Tensor:
-    """Squares of the horizontal speeds of feet that bear, Σ c_i ‖v_i,xy‖²."""
+    """Compute the sum of squared horizontal speeds of feet in contact, Σ c_i ‖v_i,xy‖²."""
     return (c.state.contacts * c.state.foot_velocity[..., :2].square().sum(-1)).sum(-1)
 
 
 def collision(c: StepContext) -> Tensor:
-    """[something other than a foot touches the ground]."""
+    """Compute [something other than a foot touches the ground]."""
     return (c.state.other_force.norm(dim=-1) > CONTACT_THRESHOLD).to(c.action.dtype)
 
 
 def termination(c: StepContext) -> Tensor:
-    """[early termination]."""
+    """Compute [early termination]."""
     return c.terminated.to(c.action.dtype)
 
 
@@ -152,9 +152,9 @@ EFFORT_AT_FIRST: Mapping[str, float] = MappingProxyType(
         "slip": 0.5,
     }
 )
-"""What part of their weight penalties of effort have at first, so that robots do not learn to stand still."""
+"""Initial factors of the weights of effort penalties, so that robots do not learn to stand still."""
 FULL_EFFORT_AT = 0.5
-"""Share of the training from which on they have all of it."""
+"""Share of the training after which these factors are 1."""
 
 
 def effort_schedule() -> dict[str, Callable[[float], float]]:

@@ -1,4 +1,4 @@
-"""The walking state: what a robot's state lacks of its gait."""
+"""State of walking: that of the robot, and of its gait."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from torchrl_atr.envs.tasks.state import QuadrupedState, Rows, SimulationSnapsho
 
 @dataclass
 class WalkingState(QuadrupedState):
-    """A robot's state and that of its gait, float32.
+    """State of a robot and its gait, float32.
 
     Attributes:
         speeds: forward speed in the frame that turns with the body's yaw, m/s, and yaw rate, rad/s, (N, 2).
         lateral_speed: to the left in that frame, m/s, (N,).
         height: of the body's origin above the ground, m, (N,).
-        foot_height: of the feet above where they are in the stand, m, (N, 4).
+        foot_height: of the feet above their height in the standing pose, m, (N, 4).
         foot_velocity: of the feet over the last control step, world frame, m/s, (N, 4, 3).
     """
 
@@ -35,7 +35,7 @@ class WalkingState(QuadrupedState):
 
 
 class WalkingStateExtractor(StateExtractor):
-    """Reads a :class:`WalkingState` out of an engine."""
+    """Extractor of a :class:`WalkingState` from an engine."""
 
     state_type = WalkingState
 
@@ -50,22 +50,22 @@ class WalkingStateExtractor(StateExtractor):
         super().__init__(engine)
 
     def gather(self, rows: Rows = slice(None)) -> SimulationSnapshot:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        """Return the engine's tensors of ``rows``, see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         return {**super().gather(rows), "world_offset": single(self.engine.world_offset[rows])}
 
     @property
     def state(self) -> dict[str, Tensor]:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        """World positions of the feet, live; see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         return {"foot_places": self.velocities[:, -12:]}
 
     def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`; the feet's places in the world follow."""
+        """Return the velocities that the next state differentiates, with the feet's world positions at the end."""
         places = self.foot_positions(snapshot)
         places = torch.cat([places[..., :2] + snapshot["world_offset"].unsqueeze(-2), places[..., 2:]], -1)
         return torch.cat([super().velocities_of(snapshot), places.flatten(-2)], -1)
 
     def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
-        """See :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        """Return the fields of the state, see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         parts = super().parts(snapshot, velocities, rates)
         along = heading_frame(parts["euler"], parts["velocity"])
         yaw_rate = (parts["rotation"][:, 2] * parts["angular_velocity"]).sum(-1)
