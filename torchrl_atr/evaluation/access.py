@@ -62,7 +62,7 @@ def command_owner(env: EnvBase) -> Any:
             return transform
     raise TypeError(
         "no transform of this env can pin commands; build it with make_riding_env, or add CommandCurriculum "
-        "(or a transform of your own with pin(command) and unpin()) to it"
+        "(or your own transform with pin(command) and unpin()) to it"
     )
 
 
@@ -98,7 +98,7 @@ def achieved_speeds(env: EnvBase) -> Tensor:
     speeds = base.speeds if isinstance(base, QuadrupedEnv) else None
     if speeds is None:
         raise TypeError(
-            f"{type(base).__name__} does not say what answers the command; pass speeds=, a "
+            f"{type(base).__name__} does not report what the robots achieve of the command; pass speeds=, a "
             "function of the env that returns (N, 2): forward speed in m/s and yaw rate in rad/s"
         )
     return speeds
