@@ -1,4 +1,4 @@
-"""Write the README's results from ``results/``: ``python scripts/readme_results.py``, from the root of a clone."""
+"""Generator of the README's results from ``results/``: ``python scripts/readme_results.py``, at the root of a clone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def section() -> str:
         "| --- | --- | --- | --- |",
     ]
     for name, (label, style) in FIGURES.items():
-        still = "-" if name == "survival" else style.format(longest["do_nothing"][name])  # nobody falls off: no feat
+        still = "-" if name == "survival" else style.format(longest["do_nothing"][name])  # by definition, nobody falls
         lines.append(f"| {label} | {spread(runs, name)} | {style.format(longest[name])} | {still} |")
     minutes = sorted(run["run"]["minutes"] for run in runs)
     first = runs[0]["run"]
@@ -47,7 +47,7 @@ def section() -> str:
 
 
 def main() -> None:
-    """Replace what stands between the markers."""
+    """Replace the text between the markers."""
     readme = ROOT / "README.md"
     before, rest = readme.read_text(encoding="utf-8").split(BEGIN)
     after = rest.split(END)[1]
