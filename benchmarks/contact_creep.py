@@ -192,13 +192,13 @@ def table(report: dict[str, Any]) -> str:
         "",
         results.origin(report),
         "",
-        f"Each robot holds q0 for {report['seconds']:g} s on a level deck (stiff hinges) that stands still, "
+        f"Each robot holds q0 for {report['seconds']:g} s on a level board (stiff hinges) that stands still, "
         f"accelerates at {report['acceleration']:g} m/s² or turns at {TURN[0]:g} m/s and {TURN[1]:g} rad/s"
         + "".join(
             f" ({name}: {v:g} m/s and {w:g} rad/s, since it would tip over)" for name, (v, w) in SLOWER_TURN.items()
         )
-        + f". Creep of the foot that moves most in the deck's frame after {report['settle']:g} s, mm/s. Friction 1, no "
-        "randomness. Small enough: "
+        + f". Creep of the foot that moves most in the board's frame after {report['settle']:g} s, mm/s. Friction 1, "
+        "no randomness. Small enough: "
         + ", ".join(f"{name} {limit:g}" for name, limit in LIMITS.items())
         + f". Cost: time of a substep of {report['robots']} A1s on the single board, models taking turns, "
         f"median of {report['rounds']} samples (seed 0), whose joint targets fidget by "

@@ -129,7 +129,7 @@ def intrinsic_names(env: EnvBase, size: int) -> tuple[str, ...]:
     Example:
         >>> from torchrl_atr.envs import RidingEnv
         >>> intrinsic_names(RidingEnv(num_envs=1), 34)[:2]
-        ('payload', 'com[0]')
+        ('payload', 'com_shift[0]')
     """
     base = base_env(env)
     if isinstance(base, QuadrupedEnv) and base.runner.intrinsics.size == size:
@@ -142,7 +142,7 @@ def intrinsic_names(env: EnvBase, size: int) -> tuple[str, ...]:
 
 
 class Component(NamedTuple):
-    """A component of the extrinsic state.
+    """Component of the extrinsic state.
 
     Attributes:
         name: such as ``body_velocity[0]``.
