@@ -1,4 +1,4 @@
-"""The benchmark: everything that is compared takes turns in one run."""
+"""Benchmark of the library's speed: all compared configurations are measured in turns in one run."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ Maker = Callable[[], Contender]
 
 @dataclass(frozen=True)
 class Plan:
-    """What is measured, and how often.
+    """Plan of a benchmark: sizes and numbers of samples.
 
     Attributes:
         cpus: threads and worker processes; 0 for the CPUs this process may use.
-        compiled: whether our envs are compiled, where there is a compiler.
+        compiled: whether our envs are compiled, if there is a compiler.
         num_envs: N of the layers; one of ``sizes``.
-        sizes: N, for cost and peak memory.
-        training_sizes: N that are trained, the recipe's first; each one of ``sizes``.
+        sizes: values of N for rates and peak memory.
+        training_sizes: values of N for training, the default recipe's first; each one of ``sizes``.
         steps: control steps of a collector's batch, the recipe's.
         rounds: samples of each contender.
         seconds: least time of a sample.
-        profiled: iterations that are profiled, of robots that ride.
+        profiled: number of profiled iterations, with a trained policy.
     """
 
     cpus: int = 0
@@ -72,19 +72,19 @@ QUICK = Plan(
 
 
 def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
-    """Measures everything and writes ``bench.json`` and ``bench.md``.
+    """Measure everything and write ``bench.json`` and ``bench.md``.
 
     Args:
         plan: :data:`FULL` or :data:`QUICK`.
-        folder: for the two files; made if missing.
+        folder: for the two files; created if missing.
         command: to be written beside the figures.
 
     Returns:
-        What ``bench.json`` holds.
+        The contents of ``bench.json``.
     """
-    folder.mkdir(parents=True, exist_ok=True)  # a folder that cannot be written is found before, not after
+    folder.mkdir(parents=True, exist_ok=True)  # fail before the measurements if it cannot be written
     cpus, compiled = plan.cpus or available_cpus(), plan.compiled and compiler() is not None
-    torch._dynamo.config.recompile_limit = 64  # each number of threads is one
+    torch._dynamo.config.recompile_limit = 64  # each number of threads is one compilation
     plan = dataclasses.replace(plan, cpus=cpus, compiled=compiled)
     results = {"command": command, **_origin(), "plan": dataclasses.asdict(plan)}
     results["memory"] = _memory(plan)
@@ -114,7 +114,7 @@ def run(plan: Plan, folder: Path, command: str) -> dict[str, Any]:
 
 @contextmanager
 def _workers_end_first() -> Iterator[None]:
-    """Where this is stopped, kill the workers: ``ParallelEnv.close`` would wait for answers that do not come."""
+    """Kill the workers on an interrupt: ``ParallelEnv.close`` would wait for answers that do not come."""
     try:
         yield
     except KeyboardInterrupt:
@@ -123,7 +123,7 @@ def _workers_end_first() -> Iterator[None]:
 
 
 def _origin() -> dict[str, Any]:
-    """When, where and with what."""
+    """Return the date, the machine and the versions."""
     origin = machine()
     hardware = {**origin["hardware"], "torch_threads": torch.get_num_threads(), "load_before": os.getloadavg()[0]}
     return {"date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", "machine": hardware, "versions": origin["versions"]}
@@ -143,7 +143,7 @@ def _loop(plan: Plan, size: int, scratch: Path, riding: bool) -> TrainingLoop:
 
 
 def _layers(plan: Plan) -> list[Maker]:
-    """Ours: all layers once, the lower ones at every size and number of threads."""
+    """Return the contenders of this library: all layers once, the lower ones at every size and number of threads."""
     size, cpus, steps, compiled = plan.num_envs, plan.cpus, plan.steps, plan.compiled
     fewer = [2**k for k in range(cpus.bit_length()) if 2**k < cpus]
     makers: list[Maker] = []

@@ -1,7 +1,7 @@
-"""Measure training and evaluation beside other work: alone, beside one busy process, and two at once.
+"""Speed of training and evaluation beside other processes: alone, beside one busy process, and two at once.
 
-``python -m benchmarks.busy_neighbour`` runs the command line as a user does, each case in turns with the others, and
-compares medians. A busy process is one that never sleeps.
+``python -m benchmarks.busy_neighbour`` runs the command line as a user does, all cases in turns, and compares medians.
+A busy process is one that never sleeps.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from torchrl_atr.training.provenance import machine
 _BUSY = [sys.executable, "-c", "while True: pass"]
 _COMMAND = [sys.executable, "-m", "torchrl_atr.cli"]
 _WARM_UP = 0.1
-"""Minutes at the start of a run that do not count: imports' caches, and the first looks at the neighbours."""
+"""Minutes at the start of a run that do not count: cold caches, and the first measurements of other processes."""
 
 
 @contextmanager
@@ -42,7 +42,7 @@ def busy_processes(count: int) -> Iterator[None]:
 
 
 def train(folder: Path, minutes: float, count: int = 1) -> float:
-    """Train ``count`` runs at once; return the robot steps a second of the slowest."""
+    """Train ``count`` runs at once; return the robot steps per second of the slowest."""
     runs = [folder / f"run{number}" for number in range(count)]
     common = ["train", "--overwrite", "--max-minutes", f"{minutes + _WARM_UP:g}", "--output"]
     processes = [subprocess.Popen([*_COMMAND, *common, str(run)], stdout=subprocess.DEVNULL) for run in runs]
@@ -61,7 +61,7 @@ def _speed(run: Path) -> float:
 
 
 def evaluate(folder: Path) -> float:
-    """Evaluate a run; return evaluations a minute."""
+    """Evaluate a run; return evaluations per minute."""
     started = time.monotonic()
     subprocess.run(
         [*_COMMAND, "evaluate", str(folder / "run0"), "--output", str(folder / "report"), "--robots-per-command", "16"],

@@ -1,8 +1,8 @@
-"""How far feet creep on the deck, and what it costs to hold them: ``python -m benchmarks.contact_creep``.
+"""Creep of feet on the board, and cost of the contact models: ``python -m benchmarks.contact_creep``.
 
-Each robot holds q0 on a deck that is kept level (stiff, heavy hinges), since a robot which nobody balances would fall
-long before its feet have crept measurably. The deck stands still, accelerates steadily, or turns steadily; creep is how
-far the centre of a foot has moved in the deck's frame, of the foot that moved most, over the time after a settling.
+Each robot holds q0 on a board that is kept level (stiff, heavy hinges), since a robot without a policy would fall long
+before its feet have crept measurably. The board stands still, accelerates steadily, or turns steadily; creep is the
+displacement of a foot's centre in the board's frame, of the foot that moved most, over the time after settling.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from torchrl_atr.training.provenance import machine
 
 PYRAMIDAL, ELLIPTIC = mujoco.mjtCone.mjCONE_PYRAMIDAL, mujoco.mjtCone.mjCONE_ELLIPTIC
 SOFT = ContactModel(PYRAMIDAL, impratio=1.0, noslip_iterations=0)
-"""MuJoCo's own defaults, which this package had at first; costs are relative to it."""
+"""MuJoCo's defaults; costs are relative to this model."""
 MODELS = (
     SOFT,
     *(ContactModel(PYRAMIDAL, impratio, noslip) for impratio, noslip in ((10, 0), (100, 0), (1, 3), (10, 3))),
@@ -44,23 +44,23 @@ MODELS = (
 )
 MOTIONS = ("standing", "accelerating", "turning")
 LIMITS = {"standing": 0.05, "accelerating": 0.2, "turning": 0.2}
-"""Creep that is small enough, mm/s: 3 and 12 mm a minute."""
+"""Largest acceptable creep, mm/s: 3 and 12 mm per minute."""
 RAMP = 2.0
-"""How long the motion takes to become steady, s."""
+"""Time in which the motion becomes steady, s."""
 TURN = (3.0, 1.0)
-"""m/s and rad/s of the steady turn."""
+"""Speed and yaw rate of the steady turn, m/s and rad/s."""
 SLOWER_TURN = {"spot": (2.0, 1.0)}
-"""Of robots that would tip over in that turn, holding q0, whatever their feet do."""
+"""Turns of robots that would tip over in :data:`TURN` while holding q0, whatever their feet do."""
 NOISE = {"riding": 0.02, "thrashing": 0.1}
-"""How much A1s fidget whose physics is timed, rad: about as one that rides, or as an untrained one whose feet slide."""
+"""Noise of the joint targets while physics is timed, rad: about that of a trained policy, and of an untrained one."""
 
 
 @dataclass
 class Prescribed:
-    """A drive law by which transporters move as :data:`MOTIONS` say, whatever their tilt; acceleration sets in slowly.
+    """Drive law with the motions of :data:`MOTIONS` for any tilt; accelerations are ramped up.
 
     Attributes:
-        acceleration: of the second, m/s².
+        acceleration: of the second transporter, m/s².
         turn: speed and yaw rate of the third, m/s and rad/s.
         time: since the start, s.
     """
@@ -70,7 +70,7 @@ class Prescribed:
     time: float = 0.0
 
     def __call__(self, speeds: Tensor, tilt: Tensor, scale: Tensor, dt: float) -> Tensor:
-        """See :class:`~torchrl_atr.envs.tasks.riding.drive_law.DriveLaw`."""
+        """Compute the next speeds; see :class:`~torchrl_atr.envs.tasks.riding.drive_law.DriveLaw`."""
         self.time += dt
         share = min(self.time / RAMP, 1.0)
         moved = speeds.clone()
@@ -80,7 +80,7 @@ class Prescribed:
 
 
 def level_scene(robot: str, transporter: str, contacts: ContactModel) -> Scene:
-    """Return a scene with the given contacts, whose deck stays within 0.01 rad of level."""
+    """Return a scene with the given contacts, whose board stays within 0.01 rad of level."""
     task = riding(robot, transporter)
     scene = build_scene(task.robot, task.support)
     model, support = scene.model, scene.support_layout
@@ -100,14 +100,14 @@ def creep(
     seconds: float = 60.0,
     settle: float = 10.0,
 ) -> dict[str, float | None]:
-    """Measure how fast feet creep, mm/s, by motion; None where the robot did not stay up.
+    """Measure the creep of the feet, mm/s, by motion; None where the robot fell.
 
     Args:
-        robot: its name.
-        transporter: its name.
-        contacts: how contacts are solved.
-        acceleration: of the accelerating transporter, m/s²; :data:`TURN` says how the turning one moves.
-        seconds: of a trial.
+        robot: name of the robot.
+        transporter: name of the transporter.
+        contacts: contact model.
+        acceleration: of the accelerating transporter, m/s²; the turning one moves at :data:`TURN`.
+        seconds: length of a trial.
         settle: seconds at its start that do not count.
     """
     scene = level_scene(robot, transporter, contacts)
@@ -129,7 +129,7 @@ def creep(
 
 
 def _feet(engine: BatchEngine) -> Tensor:
-    """Where each foot's first geom is in the yawing frame of the deck, m, (3, 4, 2)."""
+    """Return the position of each foot's first geom in the yawing frame of the board, m, (3, 4, 2)."""
     layout, support = engine.scene.layout, engine.scene.support_layout
     engine.forward()
     places = engine.sensordata[:, layout.sensors["foot_position"]].unflatten(-1, (-1, 3))
@@ -140,13 +140,13 @@ def _feet(engine: BatchEngine) -> Tensor:
 
 
 def costs(models: Sequence[ContactModel], noise: float, robots: int, rounds: int, seconds: float = 0.2) -> list[float]:
-    """Measure the time of a substep, ms, of A1s that fidget on the single board, by model; models take turns.
+    """Measure the time of a substep, ms, of A1s with noisy joint targets on the single board, by model, in turns.
 
     Args:
-        models: whose costs.
-        noise: standard deviation of the joints' targets about q0 in every control step, rad.
-        robots: at once.
-        rounds: samples of each, of which the median counts.
+        models: contact models.
+        noise: standard deviation of the joint targets about q0 in every control step, rad.
+        robots: number of robots.
+        rounds: samples of each model, of which the median counts.
         seconds: least time of a sample.
     """
     threads = available_cpus()
@@ -161,7 +161,7 @@ def costs(models: Sequence[ContactModel], noise: float, robots: int, rounds: int
 
 
 def _fidget(engine: BatchEngine, noise: float, generator: torch.Generator) -> int:
-    """Make one control step with targets about q0, and return how many substeps that was."""
+    """Make one control step with targets about q0, and return the number of substeps."""
     q0 = torch.tensor(engine.scene.robot.q0, dtype=torch.float64)
     engine.step(q0 + noise * torch.randn(engine.num_envs, len(q0), dtype=torch.float64, generator=generator))
     return DECIMATION
@@ -182,7 +182,7 @@ def describe(contacts: ContactModel) -> dict[str, Any]:
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report as Markdown."""
+    """Return the report as Markdown."""
     pairs = list(dict.fromkeys((row["robot"], row["transporter"]) for row in report["creep"]))
     found = {
         (_name(row["contacts"]), row["robot"], row["transporter"]): row["mm_per_second"] for row in report["creep"]
@@ -192,13 +192,13 @@ def table(report: dict[str, Any]) -> str:
         "",
         results.origin(report),
         "",
-        f"Each robot holds q0 for {report['seconds']:g} s on a level deck (stiff hinges) that stands still, "
+        f"Each robot holds q0 for {report['seconds']:g} s on a level board (stiff hinges) that stands still, "
         f"accelerates at {report['acceleration']:g} m/s² or turns at {TURN[0]:g} m/s and {TURN[1]:g} rad/s"
         + "".join(
             f" ({name}: {v:g} m/s and {w:g} rad/s, since it would tip over)" for name, (v, w) in SLOWER_TURN.items()
         )
-        + f". Creep of the foot that moves most in the deck's frame after {report['settle']:g} s, mm/s. Friction 1, no "
-        "randomness. Small enough: "
+        + f". Creep of the foot that moves most in the board's frame after {report['settle']:g} s, mm/s. Friction 1, "
+        "no randomness. Small enough: "
         + ", ".join(f"{name} {limit:g}" for name, limit in LIMITS.items())
         + f". Cost: time of a substep of {report['robots']} A1s on the single board, models taking turns, "
         f"median of {report['rounds']} samples (seed 0), whose joint targets fidget by "
@@ -239,7 +239,7 @@ def _figure(speed: float | None) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measures all models on all pairs and writes ``contact_creep.json`` and ``README.md``."""
+    """Measure all models on all pairs and write ``contact_creep.json`` and ``README.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.contact_creep", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/contact_creep"), metavar="FOLDER")
     parser.add_argument("--seconds", type=float, default=60.0)

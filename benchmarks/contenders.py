@@ -1,4 +1,4 @@
-"""Ours, from bare physics to the collector that trains: what each layer leaves of the one below."""
+"""Contenders of this library, from bare physics to the training collector, to measure the cost of each layer."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from torchrl_atr.training import TrainConfig, make_config, make_env, make_policy
 from torchrl_atr.training.collection import Collection
 
 STAND_STEPS = 100
-"""Control steps after which the physics limit's robots are stood up anew: left alone they fall after some 10 s."""
+"""Control steps after which the robots of the physics limit are reset: without a policy they fall after some 10 s."""
 
 
 def standing_step(scene: Scene, num_envs: int, threads: int) -> Callable[[], mujoco.batch.Batch]:
-    """A function that takes N standing robots (keyframe ``stand``, ctrl = q0) one control step on, nothing else."""
+    """Return a function that advances N standing robots (keyframe ``stand``, ctrl = q0) by one control step."""
     batch = mujoco.batch.Batch(scene.model, num_envs, nthread=threads)
     steps, stand = itertools.count(), scene.model.key(STAND).id
 
@@ -41,7 +41,7 @@ def standing_step(scene: Scene, num_envs: int, threads: int) -> Callable[[], muj
 
 
 def physics(num_envs: int, threads: int) -> Contender:
-    """The limit: ``mujoco.batch`` on our scene, robots standing."""
+    """Return the physics limit: ``mujoco.batch`` on our scene with standing robots."""
     robot = get_robot("a1")
     scene = build_scene(robot, Transporter(get_transporter("single_board", robot)))
     stand = standing_step(scene, num_envs, threads)
@@ -54,7 +54,7 @@ def physics(num_envs: int, threads: int) -> Contender:
 
 
 def stepped(name: str, env: EnvBase, threads: int) -> Contender:
-    """An env under zero actions, through ``step_and_maybe_reset``; closes it."""
+    """Return a contender that steps an env with zero actions by ``step_and_maybe_reset``, and closes it."""
     size = env.batch_size.numel()
     still, state = env.full_action_spec.zero(), env.reset()
 
@@ -67,24 +67,24 @@ def stepped(name: str, env: EnvBase, threads: int) -> Contender:
 
 
 def bare(num_envs: int, threads: int, compiled: bool = False, name: str = "bare") -> Contender:
-    """``RidingEnv`` alone."""
+    """Return ``RidingEnv`` alone."""
     return stepped(name, RidingEnv(num_envs=num_envs, num_threads=threads, seed=0, compiled=compiled), threads)
 
 
 def transformed(num_envs: int, threads: int, compiled: bool = False) -> Contender:
-    """``make_riding_env``: with command curriculum, history, time limit."""
+    """Return ``make_riding_env``: with command curriculum, history, time limit."""
     return stepped("transformed", _riding_env(num_envs, threads, compiled), threads)
 
 
 def free(num_envs: int, threads: int, steps: int, compiled: bool = False, name: str = "free") -> Contender:
-    """TorchRL's ``Collector`` with a policy that costs nothing; ``steps`` control steps a batch."""
+    """Return TorchRL's ``Collector`` with a policy that costs nothing; ``steps`` control steps per batch."""
     env = _riding_env(num_envs, threads, compiled, compact_storage=True)
     still = env.full_action_spec.zero()
     return _collected(name, env, lambda state: state.update(still), threads, steps)
 
 
 def deployed(num_envs: int, threads: int, steps: int, compiled: bool = False) -> Contender:
-    """``Collector`` with the deployed policy, untrained: estimators and actor."""
+    """Return ``Collector`` with the deployed policy, untrained: estimators and actor."""
     env = _riding_env(num_envs, threads, compiled, compact_storage=True)
     torch.manual_seed(0)
     policy = make_run_networks(TrainConfig(), env).deployed_policy()
@@ -92,7 +92,7 @@ def deployed(num_envs: int, threads: int, steps: int, compiled: bool = False) ->
 
 
 def training_policy(num_envs: int, threads: int, steps: int, compiled: bool = False) -> Contender:
-    """The trainer's own collection: its env, its policy, untrained, with exploration."""
+    """Return the trainer's collection: its env and its untrained policy, with exploration."""
     sizes = {"env.num_envs": num_envs, "ppo.rollout_steps": steps}
     config = make_config({**sizes, "compute.num_threads": threads, "compute.compiled": compiled})
     env = make_env(config)
@@ -123,7 +123,7 @@ def _collected(
         frames_per_batch=size * steps,
         total_frames=-1,
         exploration_type=ExplorationType.DETERMINISTIC,
-        policy_device="cpu",  # as in training, like the next four: a collector that is not told asks at every step
+        policy_device="cpu",  # as in training, like the next four; by default a collector checks at every step
         env_device="cpu",
         storing_device="cpu",
         track_traj_ids=False,

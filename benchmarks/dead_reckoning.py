@@ -1,7 +1,7 @@
-"""What an extrinsic estimator knows of the speed, by what it reads: ``python -m benchmarks.dead_reckoning RUN``.
+"""Errors of the extrinsic estimator's speed by its inputs: ``python -m benchmarks.dead_reckoning RUN``.
 
-Rides of a policy, under each sensor set, show every way of dead reckoning side by side. On the same rides one
-estimator is trained for each: of the history alone, as in the paper, and of history and dead-reckoned velocity. Errors
+Rides of a policy, under each sensor set, record every method of dead reckoning side by side. On the same rides one
+estimator is trained for each input: the history alone, as in the paper, or history and dead-reckoned velocity. Errors
 are of robots that the estimators were not trained on, early and late in a ride of a minute.
 """
 
@@ -37,20 +37,20 @@ COMMAND_SECONDS = 5.0
 BATCH = 512
 HISTORY = 10
 SPEED = 7
-"""Where v_P,x is in x_ext."""
+"""Index of v_P,x in x_ext."""
 WINDOWS = {"first": (0.0, 10.0), "last": (50.0, 60.0)}
-"""Parts of a ride that errors are means over, s."""
+"""Parts of a ride over which errors are averaged, s."""
 
 
 @dataclasses.dataclass
 class Rides:
-    """Steps of T in rides of N robots.
+    """Record of T steps of N robots.
 
     Attributes:
         observation: o_t, (T, N, O).
         extrinsic: x_ext, (T, N, E).
-        reckoned: by method, (T, N, 3).
-        up: which robots were up, (T, N) bool.
+        reckoned: dead-reckoned velocity by method, (T, N, 3).
+        up: mask of the robots that were up, (T, N) bool.
     """
 
     observation: Tensor
@@ -59,13 +59,13 @@ class Rides:
     up: Tensor
 
     def history(self, step: Tensor, robot: Tensor) -> Tensor:
-        """Return the observations before ``step`` (n,), (n, H, O); at the start, the first one again and again."""
+        """Return the observations before ``step`` (n,), (n, H, O); at the start, the first one is repeated."""
         steps = (step.unsqueeze(-1) + torch.arange(-HISTORY, 0)).clamp_min(0)
         return self.observation[steps, robot.unsqueeze(-1)]
 
 
 def with_every_method(task: Task) -> Task:
-    """Return the task with each way of dead reckoning observed under its own name."""
+    """Return the task with each method of dead reckoning observed under its own name."""
     for name in METHODS:
         group, memory = dead_reckoning(name, name)
         task = task.replace(memory={**task.memory, name: memory}).with_observation(name, **group)
@@ -73,7 +73,7 @@ def with_every_method(task: Task) -> Task:
 
 
 def record(run: Path, sensors: str, robots: int, seconds: float, seed: int) -> Rides:
-    """Ride commands within ±2 m/s and ±1 rad/s that change every 5 s, with pushes, and keep what was observed."""
+    """Ride commands within ±2 m/s and ±1 rad/s that change every 5 s, with pushes, and record the observations."""
     _, loaded, networks, _ = load_run(run, num_envs=1)
     loaded.close()
     spec = loaded.base_env.task.arguments
@@ -125,7 +125,7 @@ def train_estimator(rides: Rides, method: str | None, robots: Tensor, updates: i
 
 
 def estimate(estimator: NormalizedEstimator, rides: Rides, method: str | None, steps: Tensor, robots: Tensor) -> Tensor:
-    """Return x̂_ext at some steps of some robots, (n, E)."""
+    """Compute x̂_ext at some steps of some robots, (n, E)."""
     side = [rides.reckoned[method][steps, robots]] if method else []
     return estimator(rides.history(steps, robots), *side)
 
@@ -134,7 +134,7 @@ def estimate(estimator: NormalizedEstimator, rides: Rides, method: str | None, s
 def errors(
     estimator: NormalizedEstimator, rides: Rides, method: str | None, robots: Tensor, stride: int = 10
 ) -> dict[str, float]:
-    """Return the mean |v̂_P,x - v_P,x| in each of :data:`WINDOWS`, m/s, over robots that are up."""
+    """Compute the mean |v̂_P,x - v_P,x| in each of :data:`WINDOWS`, m/s, over robots that are up."""
     figures = {}
     for name, (begin, end) in WINDOWS.items():
         steps = torch.arange(round(begin / CONTROL_DT), round(end / CONTROL_DT), stride)
@@ -148,7 +148,7 @@ def errors(
 
 
 def measure(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return a row for every sensor set and every way, with the share of robots that stayed up."""
+    """Measure every sensor set and method; return a row for each, with the share of robots that stayed up."""
     started, rows = time.perf_counter(), []
     for sensors in SENSORS.names():
         rides = record(arguments.run, sensors, arguments.robots, WINDOWS["last"][1], arguments.seed)
@@ -189,7 +189,7 @@ def page(report: dict[str, Any]) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure, and write ``dead_reckoning.json`` and ``README.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.dead_reckoning", description=__doc__)
-    parser.add_argument("run", type=Path, metavar="RUN", help="whose policy rides")
+    parser.add_argument("run", type=Path, metavar="RUN", help="run of the policy")
     parser.add_argument("--output", type=Path, default=Path("results/dead_reckoning"), metavar="FOLDER")
     parser.add_argument("--robots", type=int, default=200, help="half of them for training")
     parser.add_argument("--updates", type=int, default=1500, help="minibatches of each estimator")

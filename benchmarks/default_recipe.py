@@ -1,6 +1,6 @@
-"""Train the default recipe from scratch with several seeds, and evaluate each deployed policy as the command line does.
+"""Training of the default recipe from scratch with several seeds, and evaluation of each deployed policy.
 
-``python -m benchmarks.default_recipe`` goes on where it was stopped. The README's results are its report.
+``python -m benchmarks.default_recipe`` continues where it was stopped. The README's results are its report.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ FIGURES = {
     "settled_yaw_error": ("settled yaw rate error, rad/s", "{:.3f}"),
     "yaw_slope": ("slope of yaw rate on its command", "{:.3f}"),
 }
-"""What is reported, with its unit and how it is written."""
+"""Reported figures: label with unit, and format."""
 EVALUATION = "evaluation.json"
-"""In a run's folder."""
+"""Name of the file in a run's folder."""
 
 
 def evaluate(run: Path) -> dict[str, Any]:
-    """Return the figures of a deployed policy, those of a board that never moves, and where the run comes from."""
+    """Evaluate a run: figures of the deployed policy, those of a board that never moves, and the run's provenance."""
     config, env, networks, state = load_run(run, num_envs=1)
     env.close()
     result = evaluate_tracking(networks.deployed_policy(), partial(make_env, config, **DEPLOYED), seed=config.seed + 1)
@@ -79,9 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Train and evaluate all seeds; write ``default_recipe.json`` and ``README.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.default_recipe", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/default_recipe"), metavar="FOLDER")
-    parser.add_argument(
-        "--runs", type=Path, default=Path("runs/default_recipe"), metavar="FOLDER", help="to go on from"
-    )
+    parser.add_argument("--runs", type=Path, default=Path("runs/default_recipe"), metavar="FOLDER", help="to continue")
     parser.add_argument("--frames", type=int, default=4_000_000, help="robot steps of each run")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     arguments = parser.parse_args(argv)

@@ -1,7 +1,7 @@
-"""What a GPU gives the learner: training iterations with it on the CPU and on the GPU, physics on the CPU for both.
+"""Training iterations with the learner on the CPU and on the GPU, physics on the CPU for both.
 
-``python -m benchmarks.devices`` has them take turns at several numbers of robots, and writes frames/s and where an
-iteration's time goes. Where torch finds no CUDA device, it measures the CPU alone and says so.
+``python -m benchmarks.devices`` measures them in turns at several numbers of robots, and reports frames/s and the times
+of collecting and learning. Without a CUDA device it measures the CPU alone and reports that.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from torchrl_atr.training import TrainConfig, make_config
 from torchrl_atr.training.provenance import machine
 
 COLUMNS = {"frames_per_second": "robot steps/s", "collect_seconds": "collecting, s", "learn_seconds": "learning, s"}
-"""Metrics of an iteration that are kept."""
+"""Reported metrics of an iteration, and their labels."""
 
 
 def measure(loops: Sequence[TrainingLoop], rounds: int, seconds: float) -> list[dict[str, Any]]:
-    """Medians over the iterations of every loop.
+    """Measure the medians over the iterations of every loop.
 
     Args:
-        loops: that take turns.
+        loops: training loops, measured in turns.
         rounds: turns of each, after one that is not counted.
         seconds: least length of a turn.
 
@@ -57,7 +57,7 @@ def measure(loops: Sequence[TrainingLoop], rounds: int, seconds: float) -> list[
 
 
 def _turn(loop: TrainingLoop, seconds: float) -> list[dict[str, float]]:
-    """Metrics of as many iterations as fill ``seconds``; the first one's time would hold the others' turns."""
+    """Return the metrics of as many iterations as fill ``seconds``, after one whose time includes the others' turns."""
     loop.trainer.iterate()
     iterations: list[dict[str, float]] = []
     start = time.perf_counter()
@@ -67,7 +67,7 @@ def _turn(loop: TrainingLoop, seconds: float) -> list[dict[str, float]]:
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report as Markdown."""
+    """Return the report as Markdown."""
     lines = [
         "# The learner on a GPU",
         "",
@@ -88,7 +88,7 @@ def table(report: dict[str, Any]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measures all and writes ``devices.json`` and ``README.md``."""
+    """Measure all and write ``devices.json`` and ``README.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.devices", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/devices"), metavar="FOLDER")
     parser.add_argument("--num-envs", type=int, nargs="+", default=[512, 1024, 2048, 4096])

@@ -1,8 +1,8 @@
-"""Every robot on every transporter: trained for some minutes, then compared with doing nothing.
+"""Training of every robot on every transporter for some minutes, and comparison with the zero action.
 
-``python -m benchmarks.every_pair`` trains what has no ``comparison.json`` yet and goes on from checkpoints: it can be
-stopped and started again, and ``--pairs`` shares the work. The figure and the table that it writes last are of all
-pairs that are there.
+``python -m benchmarks.every_pair`` trains pairs without a ``comparison.json`` and continues from checkpoints: it can be
+stopped and started again, and ``--pairs`` splits the work. The figure and the table are of all pairs that have been
+compared.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ ROBOTS_COMPARED, SECONDS = 256, 10.0
 
 
 def zero_action(joints: int) -> TensorDictModule:
-    """The policy that lets the robot stand in q0, whatever happens; it writes (N, ``joints``) zeros."""
+    """Return the policy that holds q0: it writes (N, ``joints``) zeros."""
     return TensorDictModule(lambda o: o.new_zeros(*o.shape[:-1], joints), ["observation"], ["action"])
 
 
 @torch.no_grad()
 def first_episodes(policy: TensorDictModuleBase, env: EnvBase, commands: Tensor, steps: int) -> dict[str, float]:
-    """Rides pinned commands from a reset; a robot that falls stays down, and its return ends there.
+    """Ride pinned commands from a reset; a robot that falls stays down, and its return ends there.
 
     Args:
-        policy: handed its own ``in_keys`` and nothing else.
+        policy: gets its own ``in_keys`` and nothing else.
         env: of N robots, without a time limit.
         commands: m/s and rad/s, (N, 2).
         steps: control steps.
@@ -86,12 +86,12 @@ def compare(
     seconds: float,
     seed: int,
 ) -> dict[str, dict[str, float]]:
-    """A policy and the zero action on the same robots with the same intrinsics, initial states and commands.
+    """Compare a policy with the zero action on the same robots, intrinsic parameters, initial states and commands.
 
     Args:
         policy: to compare.
         make_env: called as ``make_env(num_envs=n, seed=s)``, once for each of the two.
-        box: half widths of the box that commands are drawn from uniformly, m/s and rad/s.
+        box: half widths of the box from which commands are drawn uniformly, m/s and rad/s.
         robots: N.
         seconds: length of the ride.
         seed: of robots and commands.
@@ -111,10 +111,10 @@ def compare(
 
 
 def train(config: TrainConfig, folder: Path) -> None:
-    """Trains until the minutes are used up, from the checkpoint if there is one.
+    """Train until the minutes are used up, from the checkpoint if there is one.
 
     Raises:
-        KeyboardInterrupt: if it was stopped.
+        KeyboardInterrupt: if training was stopped.
     """
     state = load_checkpoint(folder) if (folder / CHECKPOINT).is_file() else None
     trainer = Trainer(config, folder, state)
@@ -125,10 +125,10 @@ def train(config: TrainConfig, folder: Path) -> None:
 
 
 def compare_run(folder: Path) -> dict[str, Any]:
-    """What ``comparison.json`` holds of a trained pair: figures, and where they come from."""
+    """Return the contents of a trained pair's ``comparison.json``: figures and their provenance."""
     config, env, networks, state = load_run(folder, num_envs=1)
     env.close()
-    policy, seed = networks.deployed_policy(), config.seed + 1  # other robots than those training began with
+    policy, seed = networks.deployed_policy(), config.seed + 1  # other robots than at the start of training
     box = (config.curriculum.initial_speed, config.curriculum.initial_yaw_rate)
     return {
         "command": f"python -m benchmarks.every_pair --minutes {config.max_minutes:g} --seed {config.seed} "
@@ -141,10 +141,10 @@ def compare_run(folder: Path) -> dict[str, Any]:
 
 
 def summarise(output: Path) -> None:
-    """Writes ``learning_curves.png`` and ``README.md`` of all pairs that have been compared.
+    """Write ``learning_curves.png`` and ``README.md`` of all pairs that have been compared.
 
     Args:
-        output: holds their folders.
+        output: folder with the pairs' folders.
     """
     from torchrl_atr.evaluation import run_figures  # imports matplotlib
 
@@ -161,7 +161,7 @@ def summarise(output: Path) -> None:
 
 
 def table(records: dict[str, dict[str, Any]]) -> str:
-    """The comparisons as Markdown, with the command, the machine and what is compared.
+    """Return the comparisons as Markdown, with the command, the machine and the protocol.
 
     Args:
         records: ``comparison.json`` by pair.
@@ -202,7 +202,7 @@ def _beats(record: dict[str, Any]) -> bool:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Trains, compares and summarises; bad input ends with one message and exit code 2."""
+    """Train, compare and summarise; bad input ends with one message and exit code 2."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.every_pair", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("runs/pairs"), metavar="FOLDER")
     parser.add_argument("--minutes", type=float, default=10.0, help="of training for each pair")

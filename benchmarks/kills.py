@@ -1,8 +1,8 @@
-"""SIGKILL at random moments of a run: the last checkpoint must load, and the run must go on from it.
+"""SIGKILL at random moments of a run: the last checkpoint must load, and the run must continue from it.
 
-``python -m benchmarks.kills`` starts a small run that saves after every iteration, kills it, reads the checkpoint, goes
-on from it with ``--resume`` and kills again: in turns some time after the first checkpoint of that start, while it
-collects, learns or saves, and some time after the start of the process.
+``python -m benchmarks.kills`` starts a small run that saves after every iteration, kills it, reads the checkpoint,
+continues from it with ``--resume`` and kills again: in turns some time after the first checkpoint of that start, while
+it collects, learns or saves, and some time after the start of the process.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ SETTINGS = (
     *("--compute.num-threads", "1", "--logging.checkpoint-seconds", "0"),
 )
 _PATIENCE = 120.0
-"""Seconds in which a run must have begun to save."""
+"""Seconds within which a run must have saved a checkpoint."""
 
 
 def kill_once(run: Path, delay: float, from_start: bool = False) -> dict[str, Any]:
-    """Starts or resumes a run, kills it, and looks at what it left.
+    """Start or resume a run, kill it, and check the files that remain.
 
     Args:
         run: the run folder; resumed if it holds a checkpoint.
         delay: seconds until the kill.
-        from_start: whether they are counted from the start of the process, imports and the first save included,
-            instead of from the first checkpoint that is newer than the one it went on from.
+        from_start: whether they count from the start of the process, imports and the first save included, instead of
+            from the first checkpoint that is newer than the one it resumed from.
 
     Returns:
-        ``frames`` of the checkpoint before and after, ``temporary``, whether the kill left a half-written file, and
-        ``lost``, why the run could not go on from where it was killed, or None.
+        ``before`` and ``after``, frames of the checkpoint, ``temporary``, whether the kill left a half-written file,
+        and ``lost``, the reason why the run cannot continue from where it was killed, or None.
     """
     known = (run / NAME).is_file()
     before = load_checkpoint(run / NAME)["frames"] if known else 0
@@ -71,7 +71,7 @@ def kill_once(run: Path, delay: float, from_start: bool = False) -> dict[str, An
     if from_start and not known and not (run / NAME).is_file():
         return {**result, "lost": None}  # there was nothing to lose yet
     try:
-        result["after"] = load_checkpoint(run / NAME)["frames"]  # itself, not the one before that would stand in
+        result["after"] = load_checkpoint(run / NAME)["frames"]  # this file, without falling back to the previous one
     except CheckpointError as error:
         return {**result, "lost": str(error)}
     gone_on = result["after"] >= before if from_start else result["after"] > before
@@ -79,7 +79,7 @@ def kill_once(run: Path, delay: float, from_start: bool = False) -> dict[str, An
 
 
 def _wait_for_progress(process: subprocess.Popen[str], run: Path, frames: int) -> str | None:
-    """Returns once the checkpoint is of more than ``frames``; otherwise says what happened instead."""
+    """Wait for a checkpoint of more than ``frames``; return None, or the reason why there is none."""
     deadline = time.monotonic() + _PATIENCE
     while time.monotonic() < deadline:
         if process.poll() is not None:
@@ -91,7 +91,7 @@ def _wait_for_progress(process: subprocess.Popen[str], run: Path, frames: int) -
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report as Markdown."""
+    """Return the report as Markdown."""
     kills = report["kills"]
     lines = [
         "# Killed runs",
@@ -114,7 +114,7 @@ def table(report: dict[str, Any]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Kills, resumes, reports; exit code 1 if anything was lost."""
+    """Kill, resume and report; exit code 1 if anything was lost."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.kills", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/kills"), metavar="FOLDER")
     parser.add_argument("--kills", type=int, default=20)

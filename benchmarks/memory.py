@@ -1,4 +1,4 @@
-"""Peak memory of training, in a process of its own: ``python -m benchmarks.memory ROBOTS STEPS FOLDER``."""
+"""Peak memory of training, in a separate process: ``python -m benchmarks.memory ROBOTS STEPS FOLDER``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def peak_memory(num_envs: int, steps: int) -> dict[str, float]:
-    """What training N robots takes, MB: ``imported`` before anything is built, ``peak`` after two iterations."""
+    """Measure the memory of training N robots, MB: ``imported`` after imports alone, ``peak`` after two iterations."""
     with tempfile.TemporaryDirectory() as scratch:
         command = [sys.executable, "-m", "benchmarks.memory", str(num_envs), str(steps), scratch]
         with signals_held():
@@ -25,7 +25,7 @@ def peak_memory(num_envs: int, steps: int) -> dict[str, float]:
         try:
             output, _ = child.communicate()
         finally:
-            child.kill()  # where this was interrupted
+            child.kill()  # if this was interrupted
             child.wait()
     if child.returncode:
         raise subprocess.CalledProcessError(child.returncode, command)
@@ -39,7 +39,7 @@ def _resident() -> float:
 def _main(num_envs: int, steps: int, scratch: Path) -> None:
     imported = _resident()
     loop = TrainingLoop(make_config({"env.num_envs": num_envs, "ppo.rollout_steps": steps}), scratch)
-    for _ in range(2):  # the second batch is collected beside what the first left behind
+    for _ in range(2):  # the second batch is collected while memory of the first is still held
         loop.iterate()
     loop.close()
     sys.stdout.write(json.dumps({"imported": round(imported, 1), "peak": round(_resident(), 1)}) + "\n")

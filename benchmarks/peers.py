@@ -1,4 +1,4 @@
-"""What others reach on the same cores: one simulation per process, as many processes as cores."""
+"""Contenders of other libraries on the same cores: one simulation per process, as many processes as cores."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ Peer = Callable[[int], Contender]
 
 
 def dm_control_ride(seed: int) -> EnvBase:
-    """One robot of the same task through TorchRL's wrapper, as a user would do it without this library's env."""
+    """Return one robot of the same task in TorchRL's wrapper, as a user would build it without this library's env."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # glfw's, of a display that nothing here needs
+        warnings.simplefilter("ignore")  # glfw's, about a display that is not needed
         from torchrl.envs.libs.dm_control import DMControlWrapper
 
         from torchrl_atr.envs import suite  # slow to import: only in the workers
@@ -36,13 +36,13 @@ def dm_control_ride(seed: int) -> EnvBase:
 
 
 def dm_control(workers: int) -> Contender:
-    """``ParallelEnv`` of ``DMControlWrapper(suite.load("a1", "single_board"))``."""
+    """Return ``ParallelEnv`` of ``DMControlWrapper(suite.load("a1", "single_board"))``."""
     seeds = [{"seed": seed} for seed in range(workers)]
     return stepped("dm_control", _started(ParallelEnv(workers, dm_control_ride, create_env_kwargs=seeds)), workers)
 
 
 def torchrl_ant(workers: int) -> Contender:
-    """TorchRL's own ``MujocoEnv(backend="mujoco")`` on its ant: another task, 5 substeps, 8 joints."""
+    """Return TorchRL's ``MujocoEnv(backend="mujoco")`` on its ant: another task, 5 substeps, 8 joints."""
     return stepped("torchrl_ant", _started(ParallelEnv(workers, partial(AntEnv, backend="mujoco"))), workers)
 
 
@@ -54,14 +54,14 @@ def _started(env: ParallelEnv) -> ParallelEnv:
 
 @contextmanager
 def _ctrl_c_held() -> Iterator[None]:
-    """Start workers that a terminal's Ctrl-C does not reach: this process ends them, by SIGTERM at the latest."""
+    """Hold SIGINT while workers start, so that a terminal's Ctrl-C does not reach them; this process ends them."""
     resource_tracker.ensure_running()  # it lets signals through when it starts
     with signals_held([signal.SIGINT]):
         yield
 
 
 def gymnasium_ant(workers: int) -> Contender:
-    """Gymnasium's ``AsyncVectorEnv`` of ``Ant-v5``: another task, 5 substeps, 8 joints."""
+    """Return Gymnasium's ``AsyncVectorEnv`` of ``Ant-v5``: another task, 5 substeps, 8 joints."""
     import gymnasium
 
     with _ctrl_c_held():
@@ -77,7 +77,7 @@ def gymnasium_ant(workers: int) -> Contender:
 
 
 def available() -> tuple[list[Peer], dict[str, str]]:
-    """The peers that can run here, and why the others cannot, by name."""
+    """Return the peers that can run on this machine, and by name the reasons why the others cannot."""
     optional = {
         "dm_control": (dm_control, "dm_control", "torchrl_atr[suite]"),
         "gymnasium_ant": (gymnasium_ant, "gymnasium", "gymnasium[mujoco]"),

@@ -1,4 +1,4 @@
-"""``bench.json`` and ``bench.md``: every figure with the machine, the versions, the date and the command."""
+"""Files of the benchmark, ``bench.json`` and ``bench.md``, with the machine, the versions, the date and the command."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ LABELS = {
 
 
 def write(results: dict[str, Any], folder: Path) -> None:
-    """Writes both files, or neither."""
+    """Write both files, or neither."""
     with whole(folder) as temporary:
         write_json(temporary / "bench.json", results)
         (temporary / "bench.md").write_text(markdown(results), encoding="utf-8")
 
 
 def markdown(results: dict[str, Any]) -> str:
-    """The report as text."""
+    """Return the report as Markdown."""
     parts = [_head, _ladder, _training, _peers, _scaling, _memory, _profile]
     return "\n\n".join(part(results) for part in parts) + "\n"
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table.
+    """Return a Markdown table.
 
     Example:
         >>> print(table(["N", "steps/s"], [["64", "9,000"]]))

@@ -1,4 +1,4 @@
-"""How a measurement is kept: its figures as JSON, a README that shows them, runs of one kind only; and how it ends."""
+"""Shared parts of the measurements: their files, their provenance, checks of settings, and exit codes."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from torchrl_atr.training.run_files import CONFIG
 
 
 def write(folder: Path, name: str, report: dict[str, Any], readme: str) -> None:
-    """Writes ``<name>.json`` and ``README.md``, each whole or not at all."""
+    """Write ``<name>.json`` and ``README.md``, each atomically."""
     write_json(folder / f"{name}.json", report)
     with atomic(folder / "README.md") as file:
         file.write_text(readme, encoding="utf-8")
 
 
 def origin(report: dict[str, Any]) -> str:
-    """The sentence that says where the figures come from.
+    """Return a sentence with the command, the time and the machine of the figures.
 
     Args:
         report: with ``command``, ``wall_seconds`` and ``hardware``.
@@ -54,7 +54,7 @@ def parse_overrides(texts: list[str]) -> dict[str, Any]:
 
 
 def refuse_other_settings(config: TrainConfig, folder: Path) -> None:
-    """Keeps runs of different settings out of one table.
+    """Refuse to mix runs of different settings in one table.
 
     Raises:
         ConfigError: if ``folder`` holds a run that was trained differently.
@@ -71,18 +71,18 @@ def refuse_other_settings(config: TrainConfig, folder: Path) -> None:
 
 
 def exit_code(name: str, measure: Callable[[], None]) -> int:
-    """Measures: 0, or 130 or 143 if it was stopped, or 2 after one message about what the user gave.
+    """Run a measurement; return 0, 130 or 143 if it was stopped, or 2 after a message about wrong input.
 
     Args:
         name: of the benchmark, for messages.
-        measure: goes on where it was, called again.
+        measure: continues where it was stopped when called again.
     """
     with Interrupt():
         prepare_output()
         try:
             measure()
         except KeyboardInterrupt as stop:
-            sys.stderr.write("stopped; the same command goes on\n")
+            sys.stderr.write("stopped; the same command continues\n")
             return 128 + getattr(stop, "signal", signal.SIGINT)
         except UserError as error:
             sys.stderr.write(f"{name}: {error}\n")

@@ -1,7 +1,7 @@
-"""Every figure that a policy's card needs, by one command: ``python -m benchmarks.scorecard RUN``.
+"""Scorecard of a trained policy, by one command: ``python -m benchmarks.scorecard RUN``.
 
-Each row is one ``torchrl-atr evaluate``; its report stands in a folder of RUN. Stopped and called again, it goes on
-with the rows that are missing.
+Each row is one ``torchrl-atr evaluate``, whose report is in a folder of RUN. Stopped and called again, it continues
+with the missing rows.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ EVALUATIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "endurance-300": ("300 s of the same", (*LASTING, "--robots", "200", "--seconds", "300")),
     "standing-300": ("300 s standing still, no pushes", (*LASTING, "--robots", "200", "--seconds", "300", *STILL)),
 }
-"""By the folder of the report: what is measured, and the options of ``torchrl-atr evaluate``."""
+"""Protocol and options of ``torchrl-atr evaluate``, by the folder of the report."""
 
 
 def evaluate(run: Path, seed: int) -> dict[str, dict[str, Any]]:
-    """Measure what is missing, and return the metrics of every row.
+    """Run the missing evaluations, and return the metrics of every row.
 
     Raises:
         UserError: if an evaluation failed.
@@ -53,7 +53,7 @@ def evaluate(run: Path, seed: int) -> dict[str, dict[str, Any]]:
         if not (folder / "metrics.json").is_file():
             say(f"{name}: torchrl-atr evaluate {run} {' '.join(options)}")
             if cli.main(["evaluate", str(run), "--seed", str(seed), "--output", str(folder), *options]):
-                raise UserError(f"the evaluation {name!r} failed; its message stands above")
+                raise UserError(f"the evaluation {name!r} failed; see its message above")
         metrics[name] = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
     return metrics
 
@@ -115,7 +115,7 @@ def _measure(arguments: argparse.Namespace) -> None:
 
 
 def _short(metrics: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the single numbers and intervals of an evaluation; the rest stands in its own folder."""
+    """Return the single numbers and intervals of an evaluation; the rest is in its own folder."""
     return {
         name: value
         for name, value in metrics.items()

@@ -1,7 +1,7 @@
-"""How long each robot stands on each transporter when nobody acts: ``python -m benchmarks.standing``.
+"""Survival of each robot on each transporter under zero action: ``python -m benchmarks.standing``.
 
-Before anything is learned: zero action, drive on, command zero, no pushes. Measured with the trunk's centre of mass
-centred, in the full training range, and, for the large robots, on Table II's springs as printed (reading A12).
+Drive on, command zero, no pushes. Measured with the trunk's centre of mass centred, in the full training range, and,
+for the large robots, on Table II's springs as printed (question A12).
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ def survival(
     seed: int = 0,
     num_threads: int | None = None,
 ) -> float:
-    """Share of robots still up after ``seconds`` of zero action.
+    """Measure the share of robots still up after ``seconds`` of zero action.
 
     Args:
-        robot: its name.
-        transporter: its name.
+        robot: name of the robot.
+        transporter: name of the transporter.
         centred: whether the trunk's CoM shift is zero instead of drawn; all else is in its training range.
-        scaled_springs: the reading of that name (A12); without it large transporters carry Table II's springs.
-        robots: how many draws.
+        scaled_springs: field of that name of ``Interpretation`` (question A12); false: springs as in Table II.
+        robots: number of robots.
         seconds: of standing.
-        seed: of intrinsics and initial states.
+        seed: of intrinsic parameters and initial states.
         num_threads: of the physics.
     """
     readings = get_interpretation("default", scaled_springs=scaled_springs)
@@ -64,7 +64,7 @@ def survival(
 
 
 def cases() -> Iterator[dict[str, Any]]:
-    """What is measured: every pair, centred and not, the large robots on both kinds of springs."""
+    """Yield the measured cases: every pair, centred and not, the large robots on both kinds of springs."""
     for robot in ROBOTS.names():
         for transporter in DESIGNS:
             for scaled in (True, False) if ROBOTS.get(robot).group == "G2" else (True,):
@@ -78,7 +78,7 @@ def cases() -> Iterator[dict[str, Any]]:
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report as Markdown."""
+    """Return the report as Markdown."""
     found = {
         (row["robot"], row["transporter"], row["scaled_springs"], row["centred"]): row["survival"]
         for row in report["survival"]
@@ -91,7 +91,7 @@ def table(report: dict[str, Any]) -> str:
         f"Share of {report['robots']} robots (seed {report['seed']}) that are still up after {report['seconds']:g} s "
         "of zero action, command zero, drive on, no pushes, intrinsics of Table II's training range: with the trunk's "
         "centre of mass centred and everything else drawn, and with everything drawn (centre of mass ±20 cm). The "
-        "springs of the large (G2) transporters are five times Table II's by default (reading A12, field "
+        "springs of the large (G2) transporters are five times Table II's by default (question A12, field "
         "`scaled_springs`).",
         "",
         "| robot | transporter | springs | CoM centred | full range |",
@@ -105,7 +105,7 @@ def table(report: dict[str, Any]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measures all cases and writes ``standing.json`` and ``README.md``."""
+    """Measure all cases and write ``standing.json`` and ``README.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.standing", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/standing"), metavar="FOLDER")
     parser.add_argument("--robots", type=int, default=512)

@@ -1,4 +1,4 @@
-"""Time by phase, each without the phases inside it."""
+"""Timer of phases, each without the phases inside it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 
 class Stopwatch:
-    """Times methods of single objects while attached to them.
+    """Timer of methods of single objects, while attached to them.
 
     Attributes:
         seconds: by phase; the time of a phase that runs inside another counts for the inner one alone.
@@ -34,7 +34,7 @@ class Stopwatch:
 
     @contextmanager
     def phase(self, name: Hashable) -> Iterator[None]:
-        """Counts the time of a block for ``name``, and no longer for the phase around it."""
+        """Count the time of a block for ``name`` instead of the phase around it."""
         self._count()
         self._running.append(name)
         try:
@@ -50,14 +50,14 @@ class Stopwatch:
         self._since = now
 
     def attach(self, owner: Any, name: str, phase: Hashable) -> None:
-        """Times a method or a callable attribute of ``owner``; of a generator, the time spent inside it."""
+        """Time a method or a callable attribute of ``owner``; of a generator, the time spent inside it."""
         original = getattr(owner, name)
         self._attached.append((owner, name, vars(owner).get(name)))
         timed = self._timed_generator if inspect.isgeneratorfunction(original) else self._timed
         owner.__dict__[name] = timed(original, phase)
 
     def detach(self) -> None:
-        """Leaves all objects as they were."""
+        """Restore all objects."""
         for owner, name, original in reversed(self._attached):
             if original is None:
                 del owner.__dict__[name]

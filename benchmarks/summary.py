@@ -1,4 +1,4 @@
-"""Figures from rates: what each layer leaves of the limits below it. All ratios are of medians of one run."""
+"""Figures from rates: the share of each layer in the limits below it. All ratios are of medians of one run."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from typing import Any
 from benchmarks.timing import Key, Rates, medians
 
 LADDER = ("bare", "transformed", "free", "deployed", "training_policy")
-"""Ours above the physics, lowest first."""
+"""Layers of this library above the physics, lowest first."""
 EAGER = ("bare_eager", "free_eager")
 """The same without ``compiled=True``, where the others have it."""
 PEERS = ("dm_control", "torchrl_ant", "gymnasium_ant")
 TRAINED = {"": "training", "riding_": "training_riding"}
-"""What is trained, by what its figures begin with: untrained networks, and those of a run whose robots ride."""
+"""Training contenders by the prefix of their figures: with untrained networks, and with those of a trained run."""
 SCALED = ("bare", "free")
-"""What is also measured at other sizes and numbers of threads."""
+"""Layers that are also measured at other sizes and numbers of threads."""
 
 
 def bound(physics: float, compute: float) -> float:
-    """Frames per second if every frame took its physics and its arithmetic, one after the other, and nothing else.
+    """Compute the frames per second if each took its physics and its arithmetic, one after the other, and nothing else.
 
     Example:
         >>> bound(20_000.0, 5_000.0)
@@ -29,7 +29,7 @@ def bound(physics: float, compute: float) -> float:
 
 
 def rate_records(rates: Rates) -> list[dict[str, Any]]:
-    """All samples with their medians, for the JSON."""
+    """Return all samples with their medians, for the JSON."""
     return [
         {**key._asdict(), "median": median, "samples": [round(sample, 3) for sample in rates[key]]}
         for key, median in medians(rates).items()
@@ -37,14 +37,14 @@ def rate_records(rates: Rates) -> list[dict[str, Any]]:
 
 
 def ladder(median: dict[Key, float], num_envs: int, threads: int) -> dict[str, float]:
-    """Shares of the physics limit, by layer."""
+    """Compute the shares of the physics limit, by layer."""
     limit = median[Key("physics", num_envs, threads)]
     keys = [Key(name, num_envs, threads) for name in (*LADDER, *EAGER)]
     return {key.name: median[key] / limit for key in keys if key in median}
 
 
 def scaling(median: dict[Key, float]) -> list[dict[str, float]]:
-    """A row for each (N, threads): the physics limit, what is above it and its share of it, robot steps per second."""
+    """Return a row for each (N, threads): physics limit and layers, robot steps per second, and the layers' shares."""
     rows = []
     for key in sorted(median):
         if key.name == "physics":
@@ -55,7 +55,7 @@ def scaling(median: dict[Key, float]) -> list[dict[str, float]]:
 
 
 def training(median: dict[Key, float], flops_per_frame: float) -> list[dict[str, float]]:
-    """For each N that was trained: both limits, their bound, and of each of :data:`TRAINED` rate and share of it."""
+    """Return a row for each trained N: both limits, their bound, and rate and share of each of :data:`TRAINED`."""
     (products,) = (value for key, value in median.items() if key.name == "matrix_products")
     compute, rows = products / flops_per_frame, []
     for key in sorted(median):
@@ -71,13 +71,13 @@ def training(median: dict[Key, float], flops_per_frame: float) -> list[dict[str,
 
 
 def peers(median: dict[Key, float], ours: Key) -> dict[str, dict[str, float]]:
-    """Steps per second of each peer that ran, and how many times as many ``ours`` makes."""
+    """Return the steps per second of each peer that ran, and the ratio of ``ours`` to it."""
     found = {key.name: value for key, value in median.items() if key.name in PEERS}
     return {name: {"steps_per_second": value, "ours_over_it": median[ours] / value} for name, value in found.items()}
 
 
 def shares(seconds: Sequence[float]) -> list[float]:
-    """Of their sum.
+    """Return the shares of the phases in their sum.
 
     Example:
         >>> shares([1.0, 3.0])

@@ -1,8 +1,8 @@
-"""How many minutes and robot steps of training a skill takes: A1 on the single board, from scratch, several seeds.
+"""Minutes and robot steps of training until a skill is reached: A1 on the single board, from scratch, several seeds.
 
 ``python -m benchmarks.time_to_skill`` trains until the deployed policy meets the bar. It is evaluated every few
-minutes, as ``torchrl-atr evaluate`` does it, which is not part of the training time. Three seeds take hours: stopped
-and called again, it goes on where it was. Seeds may be trained side by side, one process and one core each: every call
+minutes, as by ``torchrl-atr evaluate``, which does not count as training time. Three seeds take hours: stopped and
+called again, it continues where it was. Seeds may be trained side by side, one process and one core each: every call
 reports all runs in the folder.
 """
 
@@ -37,15 +37,15 @@ RECIPE = {
     "exploration.final_std": 0.08,
     "task.steering_weight_peak": 3.0,
 }
-"""What differs from the default recipe: commands stay near what the bar is about, more robots start from rest, where
-most falls are, and steering, which is learned last, counts more until it has."""
+"""Differences from the default recipe: commands stay near those of the bar, more robots start from rest, where most
+falls happen, and the steering reward has a larger weight until steering, the last skill, is learned."""
 
 NOTES = "evaluations.json"
-"""In a run's folder."""
+"""Name of the file in a run's folder."""
 
 
 def meets(figures: Mapping[str, float | None]) -> bool:
-    """Whether every figure is within the bar.
+    """Return whether every figure is within the bar.
 
     Example:
         >>> meets({"survival": 0.98, "settled_speed_error": 0.2, "settled_yaw_error": 0.2})
@@ -61,7 +61,7 @@ def meets(figures: Mapping[str, float | None]) -> bool:
 
 
 def evaluate(trainer: Trainer, config: TrainConfig, robots_per_command: int) -> dict[str, Any]:
-    """The deployed policy's figures that the bar is about."""
+    """Evaluate the deployed policy; return the figures of the bar."""
     networks = trainer.learner.deployed
     result = evaluate_tracking(
         networks.deployed_policy(),
@@ -76,7 +76,7 @@ def evaluate(trainer: Trainer, config: TrainConfig, robots_per_command: int) -> 
 
 
 def train_until(config: TrainConfig, folder: Path, every: float, robots_per_command: int) -> list[dict[str, Any]]:
-    """Trains until the bar is met or the run ends; goes on with the run in ``folder`` if there is one.
+    """Train until the bar is met or the run ends; continue the run in ``folder`` if there is one.
 
     Args:
         config: ``max_minutes`` limits the run.
@@ -107,13 +107,13 @@ def train_until(config: TrainConfig, folder: Path, every: float, robots_per_comm
         say(f"seed {config.seed}: {tried[-1]}")
         return meets(figures)
 
-    if trainer.train(check) is not None:  # it was asked to stop
+    if trainer.train(check) is not None:  # training was stopped
         raise KeyboardInterrupt
     return tried
 
 
 def finished_runs(runs: Path) -> list[dict[str, Any]]:
-    """Seed, hardware and evaluations of every run in a folder, whichever call made it."""
+    """Return seed, hardware and evaluations of every run in a folder, whichever call made it."""
     found = []
     for notes in sorted(runs.glob(f"*/{NOTES}")):
         origin = json.loads((notes.parent / "run.json").read_text(encoding="utf-8"))
@@ -123,7 +123,7 @@ def finished_runs(runs: Path) -> list[dict[str, Any]]:
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report as Markdown."""
+    """Return the report as Markdown."""
     runs = report["runs"]
     skilled = [run for run in runs if meets(run["evaluations"][-1])]
     lines = [
@@ -153,7 +153,7 @@ def table(report: dict[str, Any]) -> str:
 
 
 def _median(runs: Sequence[dict[str, Any]]) -> str:
-    """Minutes and robot steps to the bar of the median seed, where that one met it."""
+    """Return a sentence with the minutes and robot steps of the median seed, if it met the bar."""
     ends = sorted((run["evaluations"][-1] for run in runs), key=lambda end: (not meets(end), end["minutes"]))
     end = ends[len(ends) // 2]
     if not meets(end):
@@ -162,16 +162,16 @@ def _median(runs: Sequence[dict[str, Any]]) -> str:
 
 
 def _evaluation(figures: Mapping[str, Any]) -> str:
-    """One evaluation's cells."""
+    """Return the cells of one evaluation."""
     values = " | ".join("-" if figures[name] is None else f"{figures[name]:.3f}" for name in BAR)
     return f"{figures['minutes']:.1f} | {figures['frames']:,} | {values}"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Trains all seeds and writes ``time_to_skill.json`` and ``README.md``."""
+    """Train all seeds and write ``time_to_skill.json`` and ``README.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.time_to_skill", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/time_to_skill"), metavar="FOLDER")
-    parser.add_argument("--runs", type=Path, default=Path("runs/time_to_skill"), metavar="FOLDER", help="to go on from")
+    parser.add_argument("--runs", type=Path, default=Path("runs/time_to_skill"), metavar="FOLDER", help="to continue")
     parser.add_argument("--minutes", type=float, default=60.0, help="of training, at most, for each seed")
     parser.add_argument("--every", type=float, default=5.0, help="minutes between evaluations")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
@@ -196,7 +196,7 @@ def _train_all(arguments: argparse.Namespace) -> None:
 
 
 def _command(arguments: argparse.Namespace, runs: Sequence[dict[str, Any]]) -> str:
-    """The one call that makes all of ``runs``, which several may have made."""
+    """Return the single command that makes all of ``runs``, which several calls may have made."""
     options = {name: getattr(arguments, name.replace("-", "_")) for name in ("minutes", "every", "robots-per-command")}
     parts = [f"--{name} {value:g}" for name, value in options.items()]
     parts.append(f"--seeds {' '.join(str(run['seed']) for run in runs)}")

@@ -1,4 +1,4 @@
-"""Rates of contenders that take turns, so that a busy minute of the machine hits all of them alike."""
+"""Rates of contenders measured in turns, so that other load on the machine affects all of them alike."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 
 
 class Key(NamedTuple):
-    """What a rate belongs to: a contender's name, robots (envs, rows) at once, threads (or processes)."""
+    """Key of a rate: a contender's name, its robots (envs, rows), its threads (or processes)."""
 
     name: str
     num_envs: int
@@ -21,12 +21,12 @@ class Key(NamedTuple):
 
 @dataclass
 class Contender:
-    """Something that is timed.
+    """Timed function.
 
     Attributes:
         key: of its rates.
-        step: does some work and returns how much: robot control steps, or whatever its rate counts.
-        close: frees what it holds.
+        step: does some work and returns its amount: robot control steps, or another unit of its rate.
+        close: frees its resources.
     """
 
     key: Key
@@ -35,11 +35,11 @@ class Contender:
 
 
 Rates = dict[Key, list[float]]
-"""Samples per contender, one a round, units of work per second."""
+"""Samples per contender, one per round, units of work per second."""
 
 
 def rate(step: Callable[[], int], seconds: float) -> float:
-    """Work per second over as many calls as fill ``seconds``, one at least."""
+    """Measure the work per second over as many calls as fill ``seconds``, at least one."""
     work, start = 0, time.perf_counter()
     while (elapsed := time.perf_counter() - start) < seconds or work == 0:
         work += step()
@@ -49,17 +49,16 @@ def rate(step: Callable[[], int], seconds: float) -> float:
 def interleave(
     contenders: Sequence[Contender], rounds: int, seconds: float, report: Callable[[str], None] = lambda line: None
 ) -> Rates:
-    """Samples every contender once a round, after a round that does not count.
+    """Sample every contender once per round, after a warm-up round that does not count.
 
-    Until then some have something to compile. Each sample follows one step that is not timed, since the contender
-    before left other things in the caches. torch computes with as many threads as are set now, but never with more than
-    the contender's.
+    Some compile in the warm-up. Each sample follows a step that is not timed, which fills the caches again. torch uses
+    as many threads as are set now, but never more than the contender's.
 
     Args:
         contenders: with different keys.
         rounds: samples of each.
         seconds: least time of a sample.
-        report: is told what goes on.
+        report: called with messages about progress.
 
     Example:
         >>> rates = interleave([Contender(Key("nothing", 1, 1), lambda: 1)], rounds=3, seconds=0.0)
@@ -83,5 +82,5 @@ def interleave(
 
 
 def medians(rates: Rates) -> dict[Key, float]:
-    """The median of each contender's samples."""
+    """Compute the median of each contender's samples."""
     return {key: statistics.median(samples) for key, samples in rates.items()}

@@ -1,4 +1,4 @@
-"""Training iterations: how many frames a second, where their time goes, and what they compute."""
+"""Training iterations: frames per second, profile, and floating-point operations."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from benchmarks.timing import Contender, Key
 from torchrl_atr.training import TrainConfig, Trainer
 
 RIDE = Path(__file__).parents[1] / "results" / "a1-single_board"
-"""A run whose robots hardly ever fall, as in most iterations of any run; untrained ones fall within seconds."""
+"""Run whose robots rarely fall, as in most iterations of any run; untrained ones fall within seconds."""
 
 
 class TrainingLoop:
-    """The trainer's iterations one at a time, without its logs and checkpoints.
+    """Loop of the trainer's iterations, without its logs and checkpoints.
 
     Args:
         config: of the run.
-        folder: that the trainer may write to.
+        folder: for the trainer's files.
         riding: whether it begins with the networks of :data:`RIDE`.
     """
 
@@ -34,27 +34,27 @@ class TrainingLoop:
         self.collection = self.trainer.collection
 
     def iterate(self) -> int:
-        """What :meth:`Trainer.train` repeats: collect, learn. Returns the frames."""
+        """Run one iteration of :meth:`Trainer.train`, collect and learn; return its frames."""
         self.trainer.iterate()
         return self.config.frames_per_batch
 
     def close(self) -> None:
-        """Ends collector and env."""
+        """Close collector and env."""
         self.collection.shutdown()
         self.env.close()
 
     def contender(self, threads: int) -> Contender:
-        """For timing."""
+        """Return this loop as a contender."""
         name = TRAINED["riding_" if self.riding else ""]
         return Contender(Key(name, self.config.env.num_envs, threads), self.iterate, self.close)
 
 
 def flops_per_frame(config: TrainConfig, folder: Path) -> float:
-    """Floating-point operations of one iteration's networks, forward and backward, per robot step.
+    """Count the floating-point operations of one iteration's networks, forward and backward, per robot step.
 
     Args:
-        config: of the run; torch counts what is not compiled.
-        folder: that a trainer may write to.
+        config: of the run; it runs without compilation, since torch counts eager operations only.
+        folder: for the trainer's files.
     """
     loop = TrainingLoop(config.replace(compute__compiled=False), folder)
     batch = loop.collection.collect()
@@ -67,9 +67,9 @@ def flops_per_frame(config: TrainConfig, folder: Path) -> float:
 
 
 def matrix_products(loop: TrainingLoop, threads: int) -> Contender:
-    """What the compute limit rests on: ``torch.mm`` in the shapes of actor and critic, minibatch rows; counts FLOPs.
+    """Return the contender of the compute limit: ``torch.mm`` in the shapes of actor and critic; it counts FLOPs.
 
-    Each layer as training sees it: forward, gradient of the input, gradient of the weights.
+    Each layer has its three products of training: forward, gradient of the input, gradient of the weights.
     """
     networks, rows = loop.learner.networks, loop.learner.minibatch_size
     modules = [*networks.backbone.modules(), *networks.critic.modules()]
@@ -89,10 +89,10 @@ def matrix_products(loop: TrainingLoop, threads: int) -> Contender:
 
 
 def profile(loop: TrainingLoop, iterations: int) -> dict[tuple[str, str], float]:
-    """Seconds of an iteration by stage and phase, each phase without those inside it.
+    """Measure the seconds of an iteration by stage and phase, each phase without those inside it.
 
-    ``physics`` is MuJoCo's own stepping; ``task`` sensors, observations, rewards, terminations; ``resets`` new
-    episodes; ``transforms`` what :func:`~torchrl_atr.envs.make_riding_env` and TorchRL's stepping add.
+    ``physics`` is MuJoCo's stepping; ``task`` sensors, observations, rewards, terminations; ``resets`` new episodes;
+    ``transforms`` the transforms of :func:`~torchrl_atr.envs.make_riding_env` and TorchRL's stepping.
     """
     watch, parts = Stopwatch(), _parts(loop)
     for phase, (owner, name) in parts.items():
@@ -106,7 +106,7 @@ def profile(loop: TrainingLoop, iterations: int) -> dict[tuple[str, str], float]
 
 
 def _parts(loop: TrainingLoop) -> dict[tuple[str, str], tuple[Any, str]]:
-    """The methods that an iteration consists of, by stage and phase, in the order of the report."""
+    """Return the methods that make up an iteration, by stage and phase, in the order of the report."""
     base, learner = loop.env.base_env, loop.learner
     return {
         ("collect", "physics"): (base.engine, "_substep"),

@@ -1,6 +1,6 @@
-"""Train the walking task from scratch, and measure for a minute how well commands are followed, and the gait.
+"""Training of the walking task from scratch, and measurement of command tracking over a minute and of the gait.
 
-``python -m benchmarks.walking`` goes on where it was stopped.
+``python -m benchmarks.walking`` continues where it was stopped.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from torchrl_atr.training import DEPLOYED, TrainConfig, load_run, make_config, m
 from torchrl_atr.training.provenance import cores, machine
 
 SECONDS, SETTLE = 60.0, 5.0
-"""Length of a trial, and what the settled figures leave out."""
+"""Length of a trial, and the time at its start that the settled figures leave out, s."""
 SPEEDS, YAW_RATES = (0.0, 0.5, 1.0, 1.5), (-1.0, -0.5, 0.0, 0.5, 1.0)
 ROBOTS = 12
-"""Per command."""
+"""Robots per command."""
 GAIT_SECONDS, GAIT_ROBOTS = 20.0, 32
 EVALUATION = "evaluation.json"
-"""In the run's folder."""
+"""Name of the file in the run's folder."""
 
 
 def evaluate(run: Path) -> dict[str, Any]:
-    """Return the figures of a deployed policy, over commands and of its gait, and where it comes from."""
+    """Evaluate a run: figures of the deployed policy over commands and of its gait, and the run's provenance."""
     config, env, networks, state = load_run(run, num_envs=1)
     env.close()
     policy = networks.deployed_policy()
@@ -66,16 +66,16 @@ def _tracking(policy: TensorDictModuleBase, config: TrainConfig, randomization: 
 
 
 def measure_gait(policy: TensorDictModuleBase, config: TrainConfig, speed: float) -> dict[str, float]:
-    """Measure robots that walk straight on: cost of transport, duty factor, air time, swing height.
+    """Measure robots that walk straight ahead: cost of transport, duty factor, air time, swing height.
 
     Args:
-        policy: deployed.
+        policy: deployed policy.
         config: of its run.
         speed: commanded, m/s.
 
     Returns:
         Means over robots and time after the first five seconds: ``speed``, m/s; ``power``, Σ max(τ q̇, 0), W;
-        ``cost_of_transport``, power over m g v; ``duty``, share of the time that a foot bears; ``swing_height``,
+        ``cost_of_transport``, power over m g v; ``duty``, share of time that a foot has contact; ``swing_height``,
         highest point of a foot in a stride, m; ``air_time``, s.
     """
     env = make_env(config, num_envs=GAIT_ROBOTS, seed=config.seed + 2, **DEPLOYED)
@@ -107,7 +107,11 @@ def measure_gait(policy: TensorDictModuleBase, config: TrainConfig, speed: float
 
 
 def strides(bears: Tensor, heights: Tensor) -> dict[str, float]:
-    """Return mean air time, s, and height, m, of swings, (T, N, 4) each; those cut off at the ends are left out.
+    """Compute mean air time, s, and height, m, of complete swings.
+
+    Args:
+        bears: contact of each foot, (T, N, 4) bool.
+        heights: of each foot, m, (T, N, 4).
 
     Example:
         >>> bears = torch.tensor([True, False, False, True])[:, None, None]
@@ -172,7 +176,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--frames", type=int, default=5_000_000, help="robot steps")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--output", type=Path, default=Path("results/walking"), metavar="FOLDER")
-    parser.add_argument("--run", type=Path, default=Path("runs/walking"), metavar="FOLDER", help="to go on from")
+    parser.add_argument("--run", type=Path, default=Path("runs/walking"), metavar="FOLDER", help="to continue")
     arguments = parser.parse_args(argv)
     return results.exit_code("walking", partial(_measure, arguments))
 

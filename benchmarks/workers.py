@@ -1,4 +1,4 @@
-"""Whether two workers learn what one process learns: returns of short runs, three seeds each.
+"""Comparison of training with two workers and with one process: returns of short runs, three seeds each.
 
 ``python -m benchmarks.workers`` trains A1 on the single board with ``collector=direct`` and with ``process`` and two
 workers, and compares the mean episode reward of the last tenth of each run.
@@ -26,24 +26,24 @@ KINDS: dict[str, dict[str, Any]] = {
 
 
 def final_return(settings: dict[str, Any], folder: Path) -> float:
-    """Mean episode reward over the last tenth of a run's iterations.
+    """Train a run and return its mean episode reward over the last tenth of the iterations.
 
     Args:
         settings: of the run.
-        folder: where it is written.
+        folder: of the run.
     """
     rewards: list[float] = []
     config = make_config(settings)
     trainer = Trainer(config, folder)
     trainer.train(lambda metrics: rewards.append(metrics.get("episode_reward", float("nan"))))
-    if not trainer.finished:  # it was asked to stop
+    if not trainer.finished:  # training was stopped
         raise KeyboardInterrupt
     last = [reward for reward in rewards[-max(1, len(rewards) // 10) :] if reward == reward]
     return sum(last) / len(last) if last else float("nan")
 
 
 def table(report: dict[str, Any]) -> str:
-    """The report as Markdown."""
+    """Return the report as Markdown."""
     returns = report["returns"]
     low, high = min(returns["one process"]), max(returns["one process"])
     inside = sum(low <= value <= high for value in returns["two workers"])
@@ -64,7 +64,7 @@ def table(report: dict[str, Any]) -> str:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Trains all and writes ``workers.json`` and ``README.md``."""
+    """Train all and write ``workers.json`` and ``README.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.workers", description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/workers"), metavar="FOLDER")
     parser.add_argument("--frames", type=int, default=400_000)

@@ -1,4 +1,4 @@
-"""A third task in one file: stand where you are told to on a plate that tilts by itself.
+"""Example of a third task in one file: stand at a commanded position on a plate that tilts by itself.
 
 Run it:  torchrl-atr train --import examples.balance --task balance --total-frames 200000
 """
@@ -26,7 +26,7 @@ STIFFNESS, DAMPING = 4000.0, 400.0
 
 
 class Plate(Support):
-    """A plate on a joint that rolls and pitches."""
+    """Plate on two hinges that roll and pitch."""
 
     name, kind, size, height, geoms, bodies = "plate", "plate", (SIDE, SIDE), HEIGHT, ("plate",), ("plate",)
     contact = mujoco.mjtObj.mjOBJ_GEOM, "plate"
@@ -40,13 +40,13 @@ class Plate(Support):
         touch(box)
 
     def locate(self, model):
-        """Return where the hinges are in qpos and qvel."""
+        """Return the addresses of the hinges in qpos and qvel."""
         joints = [model.joint(name) for name in ("plate_roll", "plate_pitch")]
         return [int(joint.qposadr[0]) for joint in joints], [int(joint.dofadr[0]) for joint in joints]
 
 
 class Rocking(SubstepHook):
-    """Turns the plate along a slow figure of eight of 0.1 rad, by torques; its clock is part of the state."""
+    """Hook that tilts the plate along a slow figure of eight of 0.1 rad, by torques; its clock is part of the state."""
 
     def __init__(self, engine):
         """Start every simulation's clock at zero."""
@@ -55,11 +55,11 @@ class Rocking(SubstepHook):
         self.state = {"rocking_time": self.time}
 
     def start(self, rows):
-        """Begin a new episode's clock."""
+        """Reset the clock of new episodes."""
         self.time[rows] = 0.0
 
     def apply(self, dt):
-        """Push the hinges towards where they should be."""
+        """Apply PD torques to the hinges towards their targets."""
         (qpos, qvel), engine = self.engine.scene.support_layout, self.engine
         self.time += dt
         target = 0.1 * torch.sin(2.0 * math.pi * self.time * torch.tensor([0.2, 0.4], dtype=torch.float64))
@@ -68,12 +68,12 @@ class Rocking(SubstepHook):
 
 
 def place(c):
-    """Where the body is on the plate, m, (N, 2)."""
+    """Return the body's position on the plate, m, (N, 2)."""
     return c.state.position[:, :2]
 
 
 def plate_tilt(c):
-    """Roll and pitch that the feet stand on, as slopes, (N, 2)."""
+    """Compute roll and pitch of the plate under the feet, as slopes, (N, 2)."""
     feet = c.state.foot_position
     side = feet[:, 2:, 2].mean(1) - feet[:, :2, 2].mean(1)
     ends = feet[:, [0, 2], 2].mean(1) - feet[:, [1, 3], 2].mean(1)
@@ -114,22 +114,22 @@ def balance(robot="a1", profile="default"):
 
 
 def near(axis, c):
-    """How near the body is to where it is told to be, along one axis, (N,)."""
+    """Compute the tracking kernel of the commanded position along one axis, (N,)."""
     return tracking_kernel(c.state.position[:, axis] - c.command[:, axis], width=0.1)
 
 
 def leaning(c):
-    """Roll and pitch of the body, (N,)."""
+    """Compute the norm of the body's roll and pitch, (N,)."""
     return c.state.euler[:, :2].norm(dim=-1)
 
 
 def effort(c):
-    """Squares of the torques, (N,)."""
+    """Compute the sum of the squared torques, (N,)."""
     return c.state.torque.square().sum(-1)
 
 
 def fallen(c):
-    """Early terminations, (N,)."""
+    """Return early terminations, (N,)."""
     return c.terminated.float()
 
 

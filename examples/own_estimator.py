@@ -1,4 +1,4 @@
-"""Swap the estimator from outside the package: register one, check it, train with it.
+"""Example of a custom estimator from outside the package: register it, check it, train with it.
 
 python examples/own_estimator.py
 torchrl-atr train --import examples.own_estimator --estimator dilated --max-minutes 5 --output runs/dilated
@@ -15,7 +15,7 @@ from torchrl_atr.modules import check_estimator, register_estimator
 
 
 class DilatedEstimator(nn.Module):
-    """Three dilated convolutions over the history, averaged over time."""
+    """Estimator of three dilated convolutions over the history, averaged over time."""
 
     def __init__(self, history_shape: tuple[int, int], out_features: int, width: int = 48) -> None:
         super().__init__()
@@ -27,7 +27,7 @@ class DilatedEstimator(nn.Module):
         self.head = nn.Linear(width, out_features)
 
     def forward(self, history: Tensor) -> Tensor:
-        """(*B, H, D) to (*B, out_features)."""
+        """Map a history (*B, H, D) to estimates (*B, out_features)."""
         flat = history.reshape(-1, *history.shape[-2:]).transpose(-1, -2)
         return (
             self.head(self.body(flat).mean(-1))

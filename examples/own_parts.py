@@ -1,8 +1,8 @@
-"""Train with parts of your own: env, networks, callback and logger. The run folder, resume and evaluation stay.
+"""Example of training with custom parts: env, networks, callback and logger; run folder, resume, evaluation as usual.
 
     python examples/own_parts.py runs/own
 
-docs/own_parts.md says what each part must have. A part that is not given is the recipe's own.
+docs/own_parts.md lists what each part needs. Parts that are not given are the default ones.
 """
 
 from __future__ import annotations
@@ -24,50 +24,50 @@ from torchrl_atr.training import Callback, Trainer, load_checkpoint, load_run, m
 
 
 def haste(context) -> torch.Tensor:
-    """(N,): square of the forward speed, m²/s²."""
+    """Compute the square of the forward speed, m²/s², (N,)."""
     return context.state.speeds[:, 0].square()
 
 
 def make_env(num_envs: int, seed: int, num_threads: int | None = None, **more: Any) -> EnvBase:
-    """Go1 on two boards, with a reward term of our own; any EnvBase with the keys of docs/own_parts.md will do."""
+    """Return a Go1 on two boards with a custom reward term; any EnvBase with the keys of docs/own_parts.md works."""
     rewards = {**RIDING_REWARDS, "haste": RewardTerm(haste, -0.05)}
     return make_riding_env("go1", "two_board", num_envs, seed=seed, num_threads=num_threads, rewards=rewards, **more)
 
 
 def make_small_networks(env: EnvBase) -> RidingNetworks:
-    """Smaller networks than Table I's."""
+    """Return smaller networks than Table I's."""
     return make_networks(
         env.observation_spec, env.action_spec, estimator="mlp", actor_cells=(64, 32), critic_cells=(64, 32)
     )
 
 
 class ScaledRewards(Callback):
-    """Divides rewards by their running standard deviation, which a resumed run goes on with."""
+    """Callback that divides rewards by their running standard deviation, which is saved and restored."""
 
     def __init__(self) -> None:
         self.variance = 1.0
 
     def on_batch(self, batch: TensorDictBase) -> TensorDictBase:
-        """The batch, (N, T), to learn from."""
+        """Return the batch to learn from, (N, T)."""
         reward = batch["next", "reward"]
         self.variance += 0.1 * (float(reward.var()) - self.variance)
         return batch.set(("next", "reward"), reward / self.variance**0.5)
 
     def on_iteration(self, metrics: dict[str, float]) -> None:
-        """Adds a metric, which is logged with the others."""
+        """Add a metric, which is logged with the others."""
         metrics["reward_std"] = self.variance**0.5
 
     def state_dict(self) -> dict[str, Any]:
-        """What checkpoints keep."""
+        """Return the state for checkpoints."""
         return {"variance": self.variance}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Goes on from there."""
+        """Restore the state of a checkpoint."""
         self.variance = state["variance"]
 
 
 def main(run: Path, iterations: int = 2, more: int = 1, num_envs: int = 8) -> Trainer:
-    """Trains for some iterations, goes on for some more as another process would, and evaluates."""
+    """Train for some iterations, resume for some more as another process would, and evaluate."""
     small = {"env.num_envs": num_envs, "ppo.rollout_steps": 8, "ppo.minibatches": 2}
     trainer = None
     for total in (iterations, iterations + more):

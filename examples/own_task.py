@@ -1,4 +1,4 @@
-"""A task of your own: riding with one more reward, one more observation and one more hidden parameter.
+"""Example of a custom task: riding with one more reward, one more observation and one more hidden parameter.
 
 Run it:  torchrl-atr train --import examples.own_task --task careful_riding --total-frames 100000
 """
@@ -7,22 +7,22 @@ from torchrl_atr.envs.tasks import TASKS, IntrinsicParameter, ObservationTerm, R
 
 
 def leaning(c):
-    """Horizontal acceleration of the body, m/s²: a reward term returns (N,)."""
+    """Compute the horizontal acceleration of the body, m/s²: a reward term returns (N,)."""
     return c.state.acceleration[:, :2].norm(dim=-1)
 
 
 def foot_loads(c):
-    """Contact forces of the feet in units of a quarter of the robot's weight: an observation term returns (N, D)."""
+    """Compute the feet's contact forces in quarters of their sum: an observation term returns (N, D)."""
     return c.state.foot_load / c.state.foot_load.sum(-1, keepdim=True).clamp_min(1.0) * 4.0
 
 
 def friction_loss(fields, value, scene):
-    """Dry friction of the joints, N m: a parameter writes its values (n, size) into fields of n MuJoCo models."""
+    """Set the joints' dry friction, N m: a parameter writes its values (n, size) into fields of n MuJoCo models."""
     fields["dof_frictionloss"][:, scene.layout.joint_dof] = value
 
 
 def careful_riding(robot="a1", transporter="single_board", profile="default", pushes=True, moving_start=0.0):
-    """Return the task; what a run sets (robot, pushes and so on) are its arguments."""
+    """Return the task; the settings of a run (robot, pushes and so on) are its arguments."""
     task = riding(robot, transporter, profile=profile, pushes=pushes, moving_start=moving_start)
     loads = ObservationTerm(foot_loads, mirror=mirrors.legs, noise=0.05)
     return task.with_observation("proprio", foot_loads=loads).replace(

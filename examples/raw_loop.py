@@ -1,8 +1,8 @@
-"""The whole RL-ATR loop in the open: env, networks, loss, GAE and optimisers, without our trainer.
+"""Example of the whole RL-ATR training loop without the trainer: env, networks, loss, GAE and optimisers.
 
     python examples/raw_loop.py --iterations 50
 
-Copy it, cut it, swap any part: every piece is a TorchRL component that meets the others at TensorDict keys.
+Copy it and replace any part: all are TorchRL components that share only TensorDict keys.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from torchrl_atr.objectives import ROAClipPPOLoss
 
 
 def main(iterations: int = 50, num_envs: int = 256, steps: int = 24, seed: int = 0) -> list[float]:
-    """Trains, prints one line an iteration, and returns the mean reward of each."""
+    """Train, print one line per iteration, and return the mean reward of each."""
     torch.manual_seed(seed)
     env = make_riding_env("a1", "single_board", num_envs=num_envs, seed=seed, compact_storage=True)
     inputs = {"estimator_inputs": ["dead_reckoned_velocity"], "critic_inputs": [("privileged", "tracking_forecast")]}
     networks = make_networks(env.observation_spec, env.action_spec, estimator="cnn_gru", **inputs)
-    # means and scales of a random ride to start from, with actions as large as an untrained policy's
+    # initial means and scales from a random rollout with actions as large as an untrained policy's
     noise = env.rollout(steps, lambda tensordict: tensordict.set("action", torch.randn(env.action_spec.shape)))
     networks.update_normalizers(noise)
 
@@ -78,14 +78,14 @@ def main(iterations: int = 50, num_envs: int = 256, steps: int = 24, seed: int =
         )
     collector.shutdown(close_env=False)
 
-    with set_exploration_type(ExplorationType.DETERMINISTIC):  # what a real robot would run: no privileged input
+    with set_exploration_type(ExplorationType.DETERMINISTIC):  # as on a real robot: no privileged input
         ride = env.rollout(50, networks.deployed_policy())
     print(f"deployed for one second: reward {float(ride['next', 'reward'].mean()):+.3f} per step")
     return rewards
 
 
 def optimise(optimizer: torch.optim.Optimizer, terms) -> None:
-    """One step down the sum of the ``loss_*`` entries."""
+    """Take one optimiser step on the sum of the ``loss_*`` entries."""
     optimizer.zero_grad()
     sum(value for key, value in terms.items() if key.startswith("loss_")).backward()
     torch.nn.utils.clip_grad_norm_([p for group in optimizer.param_groups for p in group["params"]], 1.0)

@@ -1,4 +1,4 @@
-"""A transporter of your own: a skateboard, which rolls freely and is steered by roll alone.
+"""Example of a custom transporter: a skateboard, which rolls freely and is steered by roll alone.
 
 Run it:  torchrl-atr train --import examples.skateboard --transporter skateboard --total-frames 100000
 """
@@ -8,16 +8,18 @@ import torch
 from torchrl_atr.envs.models import DESIGNS, TRANSPORTERS, Board, Design, Hinge, TransporterSpec
 
 WHEELBASE, STEERING = 0.6, 0.8
-"""Distance of the trucks, m, and how far they turn for a radian of roll, rad."""
+"""Distance of the trucks, m, and their turn per radian of roll, rad."""
 RESPONSE = 0.1
-"""Time in which the yaw rate follows the trucks, s."""
+"""Time constant with which the yaw rate follows the trucks, s."""
 
 
 def skate(tilt, speeds, transporter, readings):
-    """Return no forward drive, and what turns the board along its trucks: ω follows v tan(-k θ_x) / L.
+    """Compute the drive's accelerations: none forward; in yaw, ω follows v tan(-k θ_x) / L.
 
-    A robot cannot push itself off here, so that the board gets its speed from whoever gives it one: pushes, or a start
-    on the move. What is returned is in m/s² and rad/s², (N, 2), before resistance and for a board of nominal mass.
+    A robot cannot push itself off here, so the board gets its speed from pushes or a moving start.
+
+    Returns:
+        m/s² and rad/s², (N, 2), before resistance and for a board of nominal mass.
     """
     wanted = speeds[:, 0] * torch.tan(-STEERING * tilt[:, 1].clamp(-1.0, 1.0)) / WHEELBASE
     return torch.stack([torch.zeros_like(wanted), (wanted - speeds[:, 1]) / RESPONSE], -1)

@@ -1,9 +1,9 @@
-"""Convert a run's checkpoints to the version that this code reads: ``python scripts/convert_run.py RUN [OUTPUT]``.
+"""Converter of a run's checkpoints to the current version: ``python scripts/convert_run.py RUN [OUTPUT]``.
 
-Without OUTPUT the run folder itself is converted; with it, a copy. What is of that version already stays as it is.
+Without OUTPUT the run folder itself is converted; with it, a copy. Files of the current version stay as they are.
 
-To change what a checkpoint holds: raise ``VERSION`` in ``torchrl_atr/training/checkpoint.py`` by one and append a
-function to :data:`CONVERSIONS` that makes a state of the version before into one of the new version, in place.
+To change the contents of a checkpoint: raise ``VERSION`` in ``torchrl_atr/training/checkpoint.py`` by one and append a
+function to :data:`CONVERSIONS` that converts a state of the previous version to the new one, in place.
 """
 
 from __future__ import annotations
@@ -17,20 +17,13 @@ from typing import Any
 
 import torch
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # the version that this clone reads, whatever is installed
+sys.path.insert(0, str(Path(__file__).parents[1]))  # this clone's package, whatever is installed
 
 from torchrl_atr._config_files import to_toml
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
 from torchrl_atr._nested import merged
-from torchrl_atr.training.checkpoint import (
-    BEST,
-    NAME,
-    PREVIOUS,
-    VERSION,
-    CheckpointError,
-    read_checkpoint,
-)
+from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, VERSION, CheckpointError, read_checkpoint
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.run_files import CONFIG
 
@@ -38,9 +31,9 @@ State = dict[str, Any]
 
 
 def separate_exploration(state: State) -> None:
-    """Make version 2 of 1: exploration is a module of its own, and optional inputs have lists of normalisers.
+    """Convert 1 to 2: exploration is a separate module, optional inputs have lists of normalisers.
 
-    Parameters are listed in the same order, so the optimisers' moments stay as they are.
+    Parameters keep their order, so the optimisers' moments stay as they are.
     """
     _rename_weights(
         state,
@@ -56,9 +49,9 @@ def separate_exploration(state: State) -> None:
 
 
 def describe_the_task(state: State) -> None:
-    """Make version 3 of 2: the task has a name, command grids have options, envs save other entries.
+    """Convert 2 to 3: the task has a name, command grids have options, envs save other entries.
 
-    Episodes that were under way are dropped: a resumed run starts new ones, as one with workers does.
+    Unfinished episodes are dropped: a resumed run starts new ones, as a run with workers does.
     """
     settings = state["config"]
     settings.setdefault("task", "riding")
@@ -130,7 +123,7 @@ NESTED: dict[str, str] = {
     "command_seconds": "curriculum.command_seconds",
     "steering_weight_peak": "task.steering_weight_peak",
     "steering_weight_end": "task.steering_weight_end",
-    "steering_emphasis": "task.steering_weight_peak",  # of version 2, in the settings that a run began from
+    "steering_emphasis": "task.steering_weight_peak",  # of version 2, in the settings of the run that it started from
     "final_emphasis": "task.steering_weight_end",
     "tracking_threshold": "curriculum.tracking_threshold",
     "score_from_seconds": "curriculum.score_from_seconds",
@@ -142,7 +135,7 @@ NESTED: dict[str, str] = {
     "checkpoint_seconds": "logging.checkpoint_seconds",
     "logger": "logging.logger",
 }
-"""Where version 4 has the settings of version 3."""
+"""Names in version 4 of the settings of version 3."""
 _QUESTIONS = {
     "relative_mass": True,
     "odd_resistance": True,
@@ -175,23 +168,23 @@ PROFILES: dict[str, tuple[str, dict[str, Any]]] = {
         | {"coulomb_smoothing": 0.0, "positive_rewards": True, "gravity_in_acceleration": True, "tilt_limit": 0.78},
     ),
 }
-"""Preset and answers of version 4 that are a profile of version 3."""
+"""Preset and answers in version 4 of the profiles of version 3."""
 
 
 def nest_the_settings(state: State) -> None:
-    """Make version 4 of 3: settings stand in groups, and the profile is the answers to the open questions."""
+    """Convert 3 to 4: settings are grouped, and the profile becomes the answers to the open questions."""
     for owner in (state, state.get("start") or {}):
         if "config" in owner:
             owner["config"] = nested(owner["config"])
 
 
 def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of version 4 that mean what a mapping of version 3 meant.
+    """Return the settings of version 4 that are equivalent to those of version 3.
 
     Raises:
-        CheckpointError: for one that can no longer be said.
+        CheckpointError: for a setting without a counterpart.
     """
-    old = {name: value for name, value in flat.items() if name != "learners"}  # gone
+    old = {name: value for name, value in flat.items() if name != "learners"}  # removed
     profile, fraction = old.pop("profile", "default"), old.pop("student_fraction", 0.5)
     margin = [old.pop(name, 2.0) for name in ("runaway_speed", "runaway_yaw_rate")]
     unknown = [name for name in old if name not in NESTED]
@@ -208,14 +201,14 @@ def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 CONVERSIONS: tuple[Callable[[State], None], ...] = (separate_exploration, describe_the_task, nest_the_settings)
-"""The first makes version 2 of 1, the next 3 of 2, and so on."""
+"""Conversions from version 1 to 2, from 2 to 3, and so on."""
 
 
 def convert(state: State) -> None:
     """Convert a checkpoint's state to :data:`~torchrl_atr.training.checkpoint.VERSION`, in place.
 
     Raises:
-        CheckpointError: if its version is unknown, or it lacks what one of that version holds.
+        CheckpointError: if its version is unknown, or an entry of that version is missing.
     """
     version = state["version"]
     if not isinstance(version, int) or not 1 <= version <= VERSION:
@@ -233,10 +226,10 @@ def convert_run(run: Path, output: Path | None = None) -> list[str]:
 
     Args:
         run: the folder.
-        output: of a copy to convert in its place, which must not exist.
+        output: folder for a converted copy, which must not exist; None to convert ``run`` itself.
 
     Returns:
-        The names of the files that were converted.
+        The names of the converted files.
 
     Raises:
         CheckpointError: if there is no checkpoint, one cannot be read or converted, or ``output`` exists.
@@ -269,7 +262,7 @@ def convert_run(run: Path, output: Path | None = None) -> list[str]:
 
 
 def _rename_weights(state: State, names: Mapping[str, str]) -> None:
-    """Rename the networks' weights, and their running mean, by what their names begin with."""
+    """Rename the networks' weights, and their running mean, by the prefixes of their names."""
     learner = state["learner"]
     for part in ("networks", "deployed"):
         if part in learner or part == "networks":
@@ -284,7 +277,7 @@ def _renamed(name: str, names: Mapping[str, str]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Convert the run that the command line names; return 2 if it cannot be done."""
+    """Convert the run that the command line names; return 2 if that fails."""
     parser = argparse.ArgumentParser(description="Convert a run's checkpoints to the version that this code reads.")
     parser.add_argument("run", type=Path, metavar="RUN", help="folder that `torchrl-atr train` wrote")
     parser.add_argument("output", type=Path, metavar="OUTPUT", nargs="?", help="new folder for a converted copy")

@@ -1,6 +1,6 @@
-"""How well it rides, and for how long: command tracking, endurance, their figures, and pictures of it.
+"""Evaluation of trained policies: command tracking, endurance, figures, videos and an interactive viewer.
 
-Figures and videos import matplotlib, mediapy and OpenGL only when they are made.
+matplotlib, mediapy and OpenGL are imported only when figures and videos are made.
 """
 
 from torchrl_atr.evaluation.endurance import EnduranceResult, evaluate_endurance

@@ -1,4 +1,4 @@
-"""What evaluation needs of an env besides TorchRL's interface: pinned commands, achieved speeds, names of states."""
+"""Access to an env beyond TorchRL's interface: pinned commands, achieved speeds, names of states."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from torchrl_atr.envs import QuadrupedEnv
 
 
 def base_env(env: EnvBase) -> Any:
-    """The env below all transforms."""
+    """Return the env below all transforms."""
     while isinstance(env, TransformedEnv):
         env = env.base_env
     return env
@@ -27,10 +27,10 @@ def base_env(env: EnvBase) -> Any:
 
 @contextmanager
 def deterministic(policy: TensorDictModuleBase) -> Iterator[None]:
-    """Run a block in eval mode, without gradients and exploration; afterwards each module is in the mode it was in.
+    """Run a block in eval mode, without gradients and exploration; restore each module's mode afterwards.
 
     Args:
-        policy: its modules may be shared, in one mode or several.
+        policy: modules may be shared and in different modes.
 
     Example:
         >>> from tensordict.nn import TensorDictModule
@@ -52,7 +52,7 @@ def deterministic(policy: TensorDictModuleBase) -> Iterator[None]:
 
 
 def command_owner(env: EnvBase) -> Any:
-    """The transform that can pin commands (:class:`~torchrl_atr.envs.transforms.CommandCurriculum`).
+    """Return the transform that can pin commands (:class:`~torchrl_atr.envs.transforms.CommandCurriculum`).
 
     Raises:
         TypeError: if no transform of ``env`` has a method ``pin``.
@@ -62,12 +62,12 @@ def command_owner(env: EnvBase) -> Any:
             return transform
     raise TypeError(
         "no transform of this env can pin commands; build it with make_riding_env, or add CommandCurriculum "
-        "(or a transform of your own with pin(command) and unpin()) to it"
+        "(or your own transform with pin(command) and unpin()) to it"
     )
 
 
 def command_limits(env: EnvBase, largest: tuple[float, float] = (2.0, 1.0)) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the lowest and the highest command, (2,) each, within ``largest`` and what the env's grid draws.
+    """Return the lowest and the highest command, (2,) each, within ``largest`` and the env's command grid.
 
     Example:
         >>> from torchrl_atr.envs import make_env
@@ -89,7 +89,7 @@ def _transforms(env: EnvBase) -> Iterator[Transform]:
 
 
 def achieved_speeds(env: EnvBase) -> Tensor:
-    """Return what answers each component of the command now, such as forward speed and yaw rate, (N, C) float32.
+    """Return the achieved value of each command component, such as forward speed and yaw rate, (N, C) float32.
 
     Raises:
         TypeError: if the env below all transforms is not a QuadrupedEnv whose task observes ``speeds``.
@@ -98,20 +98,20 @@ def achieved_speeds(env: EnvBase) -> Tensor:
     speeds = base.speeds if isinstance(base, QuadrupedEnv) else None
     if speeds is None:
         raise TypeError(
-            f"{type(base).__name__} does not say what answers the command; pass speeds=, a "
+            f"{type(base).__name__} does not report what the robots achieve of the command; pass speeds=, a "
             "function of the env that returns (N, 2): forward speed in m/s and yaw rate in rad/s"
         )
     return speeds
 
 
 def ended_by(env: EnvBase) -> dict[str, Tensor]:
-    """Return by cause the robots whose episode the last step ended for it, (N,) bool; empty for envs not ours."""
+    """Return by cause the robots whose episode it ended in the last step, (N,) bool; empty for other base envs."""
     base = base_env(env)
     return dict(zip(base.runner.terms.causes, base.runner.causes)) if isinstance(base, QuadrupedEnv) else {}
 
 
 def disturbance_steps(env: EnvBase) -> dict[str, int]:
-    """Return by name the control steps between two disturbances of a robot; empty for envs not ours.
+    """Return by name the control steps between two disturbances of a robot; empty for other base envs.
 
     Example:
         >>> from torchrl_atr.envs import RidingEnv
@@ -124,12 +124,12 @@ def disturbance_steps(env: EnvBase) -> dict[str, int]:
 
 
 def intrinsic_names(env: EnvBase, size: int) -> tuple[str, ...]:
-    """Return the names of the ``size`` components of the intrinsic parameters, in order (numbers for envs not ours).
+    """Return the names of the ``size`` components of the intrinsic parameters, in order; numbered for other base envs.
 
     Example:
         >>> from torchrl_atr.envs import RidingEnv
         >>> intrinsic_names(RidingEnv(num_envs=1), 34)[:2]
-        ('payload', 'com[0]')
+        ('payload', 'com_shift[0]')
     """
     base = base_env(env)
     if isinstance(base, QuadrupedEnv) and base.runner.intrinsics.size == size:
@@ -142,12 +142,12 @@ def intrinsic_names(env: EnvBase, size: int) -> tuple[str, ...]:
 
 
 class Component(NamedTuple):
-    """A component of the extrinsic state.
+    """Component of the extrinsic state.
 
     Attributes:
         name: such as ``body_velocity[0]``.
-        label: what tables call it, such as ``body velocity x``.
-        unit: of it; None where it is not known.
+        label: text for tables, such as ``body velocity x``.
+        unit: of the component; None where it is not known.
     """
 
     name: str
@@ -156,7 +156,7 @@ class Component(NamedTuple):
 
 
 def extrinsic_components(env: EnvBase, size: int) -> tuple[Component, ...]:
-    """Return the ``size`` components of the extrinsic state, in order (numbers for envs not ours)."""
+    """Return the ``size`` components of the extrinsic state, in order; numbered for other base envs."""
     key, base = ("privileged", "extrinsic"), base_env(env)
     if isinstance(base, QuadrupedEnv) and key in base.task.observations:
         observations = base.runner.terms.observations

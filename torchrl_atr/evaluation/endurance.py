@@ -1,4 +1,4 @@
-"""Endurance of a policy: minutes of changing commands and pushes, in which a robot that falls stays down."""
+"""Endurance of a policy: minutes of changing commands and pushes, without a reset of robots that fall."""
 
 from __future__ import annotations
 
@@ -25,37 +25,37 @@ Array = NDArray[np.float64]
 USUAL = (2.0, 1.0)
 """Largest |c_v| (m/s) and |c_ω| (rad/s) unless others are asked for."""
 OVERSPEED = (2.0, 2.0)
-"""How much faster than any command a ride may get, m/s and rad/s: beyond, it counts as a fall."""
+"""Speed and yaw rate beyond the largest command above which a ride counts as a fall, m/s and rad/s."""
 
 
 @dataclass(frozen=True)
 class EnduranceResult:
-    """What n robots went through, and what became of them, in S seconds and K commands.
+    """Commands, falls and errors of n robots over S seconds and K commands.
 
-    Errors are means over the steps of a second in which the robot was up, NaN where there was none.
+    Errors are means over the steps of a second in which the robot was up, NaN without such a step.
 
     Attributes:
         commands: speeds (m/s) and yaw rates (rad/s), one after the other, (K, n, 2).
         fall_time: seconds until the fall, (n,); NaN for a survivor.
-        fall_cause: what ended the ride, (n,): a termination of the task, ``"diverged"``, ``"overspeed"``, or
-            ``"terminated"`` where the env does not say; empty for a survivor.
+        fall_cause: cause of the fall, (n,): a termination of the task, ``"diverged"``, ``"overspeed"``, or
+            ``"terminated"`` where the env does not report one; empty for a survivor.
         since_push: seconds from the last push to the fall, (n,); NaN without one.
         since_command: seconds from the last change of command, or the start, to the fall, (n,); NaN for a survivor.
-        up_steps: steps of each second that a robot was up, (S, n).
-        settled_steps: those of them after the first ``settle`` seconds of a command, (S, n).
+        up_steps: number of steps of each second in which a robot was up, (S, n).
+        settled_steps: number of those steps after the first ``settle`` seconds of a command, (S, n).
         settled_error: mean |v - c_v| (m/s) and |ω - c_ω| (rad/s) over the settled steps, (S, n, 2).
         intrinsics: the intrinsic parameters, scaled so that the training range is [-1, 1], (n, I); I = 0 if the env
             does not emit them.
-        intrinsic_names: of them.
+        intrinsic_names: names of the I intrinsic parameters.
         estimate_error: mean |x̂ - x| of the extrinsic states, (S, n, E); None without estimates.
         components: the E extrinsic states.
         latent_error: mean ‖ẑ - z‖, (S, n); None without an encoder.
         seconds: length of a ride.
-        command_seconds: how long a command lasts.
-        settle: seconds at its start that the settled figures leave out.
+        command_seconds: duration of a command.
+        settle: seconds at the start of a command that the settled figures leave out.
         bounds: the lowest and the highest command, (2, 2).
-        push_seconds: between two pushes; NaN without pushes.
-        overspeed: how much faster than ``bounds`` a ride may get, m/s and rad/s; infinite for no limit.
+        push_seconds: time between two pushes; NaN without pushes.
+        overspeed: margin beyond ``bounds`` above which a ride counts as a fall, m/s and rad/s; infinite for no limit.
         dt: control period, s.
         policy_reads: the policy's ``in_keys``.
     """
@@ -106,32 +106,32 @@ def evaluate_endurance(
     keys: NetworkKeys | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> EnduranceResult:
-    """Ride from rest with a new command every few seconds, and see how long robots stay up and how well they track.
+    """Measure survival and tracking errors of rides from rest with a new command every few seconds.
 
-    Each robot has commands of its own, uniform within the bounds, and intrinsics of its own. Pushes are the env's.
-    Actions are the distribution's deterministic sample, and the policy is handed its own ``in_keys`` and nothing else.
+    Each robot has its own commands, uniform within the bounds, and its own intrinsic parameters. Pushes are the env's.
+    Actions are the distribution's deterministic sample, and the policy gets its own ``in_keys`` and nothing else.
     Nothing is reset: a robot that falls stays down, and its figures end there.
 
     Args:
         policy: writes the action; it may also write estimates.
-        make_env: called as ``make_env(num_envs=n, seed=s)``; with pushes or without.
+        make_env: called as ``make_env(num_envs=n, seed=s)``; with or without pushes.
         robots: n.
         seconds: length of a ride.
-        command_seconds: how long a command lasts.
+        command_seconds: duration of a command.
         settle: seconds at the start of a command that the settled errors leave out.
         max_speed: largest |c_v|, m/s; 0 for standing still, None for 2, or the env's largest command if that is less.
         max_yaw_rate: largest |c_ω|, rad/s; None for 1, likewise.
-        seed: of the commands and the first chunk's env; further chunks count on from it.
-        overspeed: how much faster than any command, m/s and rad/s, counts as a fall; None for no limit.
-        encoder_module: reads the env's intrinsics and writes the latent, for the latent estimate's error.
-        speeds: measures what answers the command of an env's robots, (N, 2).
+        seed: of the commands and the first chunk's env; further chunks have the seeds after it.
+        overspeed: margin beyond the largest command, m/s and rad/s, that counts as a fall; None for no limit.
+        encoder_module: reads the env's intrinsic parameters and writes the latent, for the latent estimate's error.
+        speeds: measures the achieved speed and yaw rate of an env's robots, (N, 2).
         dt: control period, s.
         keys: names of the TensorDict entries, if the env has its own.
         progress: called with (steps done, steps in total) after every step.
 
     Raises:
-        InputError: for impossible numbers, or commands beyond what the env takes. ValueError: if ``make_env`` built
-            another number of robots. TypeError: if the env cannot pin commands, or cannot be measured.
+        InputError: for invalid numbers, or commands beyond the env's command grid. ValueError: if ``make_env`` built
+            another number of robots. TypeError: if the env cannot pin commands, or has no achieved speeds.
 
     Example:
         >>> from functools import partial

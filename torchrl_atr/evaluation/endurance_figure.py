@@ -1,4 +1,4 @@
-"""The figure of an endurance evaluation, as a PNG file. Importing this module imports matplotlib."""
+"""Figure of an endurance evaluation, as a PNG file. Importing this module imports matplotlib."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST_INTRINSICS = 6
 
 
 def plot_endurance(metrics: Mapping[str, Any], path: str | Path) -> Path:
-    """Survival, errors and estimates over time, and what the falls came from; shaded: 95 % intervals.
+    """Plot survival, errors and estimates over time and the causes of falls; shaded: 95 % intervals.
 
     Args:
         metrics: of :func:`~torchrl_atr.evaluation.endurance_metrics`.
@@ -59,7 +59,7 @@ def _band(axis: Axes, curve: Mapping[str, Any], colour: str, title: str, unit: s
 
 
 def _causes(axis: Axes, metrics: Mapping[str, Any]) -> None:
-    """Draw the falls by cause, and how many came soon after a push or a change of command beside what chance makes."""
+    """Draw the falls by cause; label the shares soon after a push or change of command, beside those by chance."""
     n, falls = metrics["n"], metrics["falls"]
     bars = [
         (name.replace("_", " "), cause["share"], cause["share_interval"])

@@ -1,4 +1,4 @@
-"""What is written down while robots ride for minutes: errors second by second, and how each fall came about."""
+"""Record of an endurance evaluation: errors of each second, and time and cause of each fall."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from torchrl_atr.modules.keys import NetworkKeys
 
 OVERSPEED = "overspeed"
 UNKNOWN = "terminated"
-"""Cause of a fall where the env does not say."""
+"""Cause of a fall where the env does not report one."""
 
 
 class EnduranceLog:
-    """Watches one chunk of n robots; see :class:`~torchrl_atr.evaluation.EnduranceResult` for what it writes down.
+    """Recorder of one chunk of n robots; :class:`~torchrl_atr.evaluation.EnduranceResult` describes its figures.
 
     Args:
-        env: that they are in.
+        env: of the robots.
         commands: one after the other, (K, n, 2).
         total: control steps of the ride.
-        command_steps: of a command.
-        settle_steps: at its start, that settled errors leave out.
+        command_steps: control steps of a command.
+        settle_steps: control steps at its start that settled errors leave out.
         limit: speeds beyond which a ride counts as a fall, (2,).
         dt: control period, s.
         encoder: writes the true latent; None to leave the latent out.
@@ -64,7 +64,7 @@ class EnduranceLog:
         self._intrinsics = torch.zeros(n, 0)
 
     def __call__(self, step: RideStep) -> None:
-        """Add one step; takes down robots that are too fast."""
+        """Add one step; count robots that are too fast as fallen."""
         if step.index == 0:
             self._intrinsics = step.observed.get(self._keys.intrinsic, self._intrinsics)
         second, since_change = step.index // self._bin, step.index % self._command_steps
@@ -82,7 +82,7 @@ class EnduranceLog:
             self._note_falls(step.index, fallen, causes)
 
     def _note_falls(self, index: int, rows: Tensor, causes: dict[str, Tensor]) -> None:
-        """Note the falls of ``rows``; of several causes the first one counts."""
+        """Record the falls of ``rows``; of several causes the first one counts."""
         done = index + 1
         self._fall[rows] = done * self._dt
         self._change[rows] = (index % self._command_steps + 1) * self._dt
@@ -95,12 +95,12 @@ class EnduranceLog:
 
     @property
     def push_seconds(self) -> float:
-        """Between two pushes; NaN without any."""
+        """Time between two pushes, s; NaN without pushes."""
         return min(self._pushes) * self._dt if self._pushes else math.nan
 
     @staticmethod
     def join(logs: Sequence[EnduranceLog]) -> dict[str, Any]:
-        """Return the fields of a result that all chunks together fill."""
+        """Return the fields of a result that are joined from all chunks."""
         first = logs[0]
 
         def joined(name: str, axis: int) -> Any:

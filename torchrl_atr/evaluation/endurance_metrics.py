@@ -15,27 +15,27 @@ from torchrl_atr.evaluation.metrics import without_nan
 
 Array = NDArray[np.float64]
 DRIFT_SECONDS = 10
-"""Estimates of the last so many seconds are compared with those of the first; of a short ride, with half of it."""
+"""Seconds at the start and at the end whose estimate errors are compared; at most half of the ride."""
 _ROUNDING = 1e-6
 SOON = {"since_push": 1.0, "since_command": 2.0}
 """Seconds after a push, and after a change of command, within which falls are counted."""
 LATENT = Component("latent", "intrinsics' latent (norm)", "1")
 HEADLINE_COMPONENTS = ("platform_velocity[0]", "body_velocity[0]")
-"""Extrinsic state whose drift is the headline's: the first of them that is estimated."""
+"""Extrinsic states whose drift is the headline figure: the first of them that is estimated."""
 
 
 def endurance_metrics(result: EnduranceResult) -> dict[str, Any]:
-    """Return everything that ``metrics.json`` holds of an endurance evaluation.
+    """Return the contents of ``metrics.json`` of an endurance evaluation.
 
     ``survival``, the share of the ``n`` robots that are up at the end, and ``survival_over_time``, at every second,
     with Wilson's 95 % intervals; ``falls_per_minute`` of a robot that is up; ``settled_speed_error`` (m/s) and
     ``settled_yaw_error`` (rad/s), means over all steps after the settling time of each command, of robots that are up,
     with bootstrap intervals over robots, and ``errors_over_time``, the same second by second; ``falls_by_cause``;
-    ``falls_after``, how many falls came soon after a push and a change of command, beside the share of the time that is
-    so soon after one; ``fallen``, commands and intrinsics of the fallen beside those of the others; ``estimates``,
-    errors of the estimates in the first and the last seconds and their ratio, over the survivors, and
-    ``estimate_drift``, the ratio of the platform's forward speed (of a walker, the body's); ``do_nothing``, errors of a
-    board that never moves. An entry ``..._interval`` is a 95 % interval. What has no value is None.
+    ``falls_after``, the number of falls soon after a push and a change of command, beside the share of the time that is
+    as soon after one; ``fallen``, commands and intrinsic parameters of the fallen beside those of the others;
+    ``estimates``, errors of the estimates in the first and the last seconds and their ratio, over the survivors, and
+    ``estimate_drift``, the ratio for the platform's forward speed (for walking, the body's); ``do_nothing``, errors of
+    a board that never moves. An entry ``..._interval`` is a 95 % interval. Entries without a value are None.
 
     Args:
         result: of :func:`~torchrl_atr.evaluation.evaluate_endurance`.
@@ -101,7 +101,7 @@ def _settled_errors(result: EnduranceResult) -> dict[str, Any]:
 
 
 def _settled_sums(result: EnduranceResult) -> tuple[Array, Array]:
-    """Return sums of the errors over settled steps and how many these are, (S, 2, n) each."""
+    """Return sums of the errors over settled steps and the number of these steps, (S, 2, n) each."""
     counts = np.repeat(result.settled_steps[:, None], 2, axis=1)
     errors = result.settled_error.swapaxes(1, 2)
     return np.where(counts > 0, errors * counts, 0.0), counts
@@ -111,7 +111,7 @@ def errors_over_time(result: EnduranceResult) -> dict[str, Any]:
     """Return the settled errors of each second that has any, with bootstrap intervals over robots.
 
     Returns:
-        ``seconds``, the middles, and for ``speed`` and ``yaw`` the ``mean``, ``low`` and ``high``.
+        ``seconds`` (midpoints), and for ``speed`` and ``yaw`` the ``mean``, ``low`` and ``high``.
     """
     sums, counts = _settled_sums(result)
     some = counts.sum((1, 2)) > 0
@@ -125,7 +125,7 @@ def errors_over_time(result: EnduranceResult) -> dict[str, Any]:
 
 
 def _middles(result: EnduranceResult) -> Array:
-    """Return the middles of the seconds, (S,); the last one may be cut short by the end."""
+    """Return the midpoints of the seconds, (S,); the last second may be shorter."""
     starts = np.arange(len(result.up_steps), dtype=np.float64)
     return (starts + np.minimum(starts + 1.0, result.seconds)) / 2.0
 
@@ -139,11 +139,11 @@ def falls_by_cause(result: EnduranceResult) -> dict[str, Any]:
 
 
 def falls_after(result: EnduranceResult) -> dict[str, Any]:
-    """Return for pushes and changes of command how many falls came within the seconds of :data:`SOON`.
+    """Count the falls within the seconds of :data:`SOON` after a push and after a change of command.
 
     Returns:
         For ``push`` and ``command``: ``within`` (seconds), ``falls``, their ``share`` of all falls and its interval,
-        ``expected``, the share of the ride's time that is so soon after one, and the ``median`` (seconds) of all falls.
+        ``expected``, the share of the ride's time that is as soon after one, and the ``median`` (seconds) of all falls.
     """
     falls, entries = int((~result.survived).sum()), {}
     intervals = {"since_push": result.push_seconds, "since_command": result.command_seconds}
@@ -163,10 +163,10 @@ def falls_after(result: EnduranceResult) -> dict[str, Any]:
 
 
 def compare_fallen(result: EnduranceResult) -> dict[str, Any]:
-    """Return what sets the fallen apart from the survivors: commands at the fall, and intrinsic parameters.
+    """Compare the fallen with the survivors: commands at the fall, and intrinsic parameters.
 
     Returns:
-        ``speed_command`` and ``yaw_command``: mean |c_v| and |c_ω| at the falls, and over all commands given.
+        ``speed_command`` and ``yaw_command``: mean |c_v| and |c_ω| at the falls, and over all commands.
         ``intrinsics``: by parameter, means of ``fallen`` and ``up`` in units of half the training range, and their
         ``difference``, with a 95 % interval (normal approximation); those that differ most come first.
     """
@@ -194,12 +194,12 @@ def _mean(values: Array) -> float:
 
 
 def _error(values: Array) -> float:
-    """Return the standard error of a mean; NaN of fewer than two values."""
+    """Compute the standard error of a mean; NaN for fewer than two values."""
     return float(values.std(ddof=1)) / math.sqrt(values.size) if values.size > 1 else math.nan
 
 
 def estimate_errors(result: EnduranceResult) -> list[tuple[Component, Array]]:
-    """Return what is estimated and how far off each robot's estimate was in each second, (S, n); empty without any."""
+    """Return each estimated component and its error by second and robot, (S, n); empty without estimates."""
     pairs = []
     if result.estimate_error is not None:
         pairs += list(zip(result.components, np.moveaxis(result.estimate_error, -1, 0)))
@@ -209,10 +209,10 @@ def estimate_errors(result: EnduranceResult) -> list[tuple[Component, Array]]:
 
 
 def estimate_drift(result: EnduranceResult) -> list[dict[str, Any]]:
-    """Return for each estimate its mean error in the ``first`` and the ``last`` seconds, and their ratio, ``drift``.
+    """Compute for each estimate its mean error in the ``first`` and the ``last`` seconds, and their ratio, ``drift``.
 
-    Both are of the survivors, so that the robots are the same; empty for a ride of one second, or where nobody
-    survived. ``window``: how many seconds.
+    Both are of the survivors, so that the robots are the same; empty for a ride of one second, or without survivors.
+    ``window``: number of seconds.
     """
     window, up = min(DRIFT_SECONDS, len(result.up_steps) // 2), result.survived
     if window < 1 or not up.any():
@@ -236,10 +236,10 @@ def estimate_drift(result: EnduranceResult) -> list[dict[str, Any]]:
 
 
 def estimate_over_time(result: EnduranceResult) -> dict[str, Any] | None:
-    """Return the headline's estimate's error in every second, over the robots that are up, with bootstrap intervals.
+    """Return the error of the headline estimate by second, over the robots that are up, with bootstrap intervals.
 
     Returns:
-        ``label``, ``unit``, ``seconds`` (middles), ``mean``, ``low`` and ``high``; None if it is not estimated.
+        ``label``, ``unit``, ``seconds`` (midpoints), ``mean``, ``low`` and ``high``; None if it is not estimated.
     """
     by_name = {component.name: (component, error) for component, error in estimate_errors(result)}
     name = next((name for name in HEADLINE_COMPONENTS if name in by_name), None)

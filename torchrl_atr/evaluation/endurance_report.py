@@ -1,4 +1,4 @@
-"""The files of an endurance evaluation: ``metrics.json``, ``endurance.npz`` and ``endurance.png``."""
+"""Files of an endurance evaluation: ``metrics.json``, ``endurance.npz`` and ``endurance.png``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def write_endurance(result: EnduranceResult, metrics: Mapping[str, Any], output_
     Args:
         result: of :func:`~torchrl_atr.evaluation.evaluate_endurance`.
         metrics: of :func:`~torchrl_atr.evaluation.endurance_metrics`; more entries are welcome.
-        output_dir: made if it does not exist.
+        output_dir: folder; created if it does not exist.
 
     Returns:
         The files by name.
@@ -42,7 +42,7 @@ def write_endurance(result: EnduranceResult, metrics: Mapping[str, Any], output_
 
 
 def save_endurance(result: EnduranceResult, path: str | Path) -> Path:
-    """Write what happened to each robot as one ``.npz`` file; :func:`load_endurance` reads it back."""
+    """Write an endurance result as one ``.npz`` file; :func:`load_endurance` reads it back."""
     arrays = {field.name: getattr(result, field.name) for field in fields(result)}
     arrays["components"] = np.array(
         [(name, label, unit or "") for name, label, unit in result.components], dtype=np.str_
@@ -56,7 +56,7 @@ def save_endurance(result: EnduranceResult, path: str | Path) -> Path:
 
 
 def load_endurance(path: str | Path) -> EnduranceResult:
-    """Read what :func:`save_endurance` wrote.
+    """Read a file that :func:`save_endurance` wrote.
 
     Raises:
         FileNotFoundError: if there is no such file.

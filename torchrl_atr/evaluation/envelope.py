@@ -1,4 +1,4 @@
-"""Which commands of a ride can be followed at all: what friction holds, and what the reward pays for."""
+"""Bounds of the commands that a riding robot can follow, from friction and from the reward."""
 
 from __future__ import annotations
 
@@ -25,30 +25,30 @@ SETTLED_YAW_ERROR = 0.3
 
 @dataclass(frozen=True)
 class Envelope:
-    """Bounds of a steady turn of a rider on a transporter, from friction and from the reward.
+    """Bounds of a steady turn of a robot on a transporter, from friction and from the reward.
 
     A transporter that drives at v and turns at ω accelerates sideways by v ω. Three things follow:
 
     - The feet hold while |v ω| ≤ μ g.
-    - The rider's ZMP must stay at the pivot, where the deck balances, so its centre of mass, h above the pivot, leans
+    - The robot's ZMP must stay at the pivot, where the board balances, so its centre of mass, h above the pivot, leans
       inwards by h |v ω| / g. The trunk leans with it, and r2, the distance between trunk and pivot, costs
-      w2 h |v ω| / g a second.
-    - r1 earns w1 exp(-|c_ω - ω| / σ) a second, so at the speed v the best steady turn has the ω that maximises
+      w2 h |v ω| / g per second.
+    - r1 earns w1 exp(-|c_ω - ω| / σ) per second, so at the speed v the best steady turn has the ω that maximises
 
       f(ω) = w1 exp(-(|c_ω| - ω) / σ) - w2 h |v| ω / g,  0 ≤ ω ≤ min(|c_ω|, μ g / |v|).
 
-    f is convex, so the best is at an end: to turn as told, as far as friction holds, or not at all. Where friction does
+    f is convex, so its maximum is at an end: the commanded turn, as far as friction holds, or none. Where friction does
     not bind, turning pays up to |v| = w1 (1 - exp(-|c_ω| / σ)) g / (w2 h |c_ω|).
 
-    A bound and no forecast: the tilt that a turn takes against resistance makes the rider lean further, and pushes,
-    sensors and transients cost, too. A rider that crouches lowers h, for which r7 charges little: give ``height`` to
-    see what that is worth.
+    This is a bound, not a forecast: the tilt that a turn takes against resistance makes the robot lean further, and
+    pushes, sensors and transients cost, too. A robot that crouches lowers h at little cost in r7: pass ``height`` to
+    compute the effect.
 
     Attributes:
         yaw_weight: w1, reward per second.
         lean_weight: w2, reward per second and metre, positive.
-        height: h, of the standing trunk above the hinges of the deck, m.
-        friction: μ between feet and deck.
+        height: h, of the standing trunk above the hinges of the board, m.
+        friction: μ between feet and board.
         width: σ of r1's kernel, rad/s.
 
     Example:
@@ -66,11 +66,11 @@ class Envelope:
 
     @classmethod
     def of(cls, task: Task, height: float | None = None) -> Envelope | None:
-        """Return a task's envelope; None for one that does not ride, or not for r1 and r2.
+        """Return a task's envelope; None without a transporter, or without r1 and r2.
 
         Args:
-            task: its rewards say the weights, robot and transporter h, its parameter ``friction`` the nominal μ.
-            height: h, m; from ``standing_height`` and the deck's thickness by default.
+            task: its rewards give the weights, robot and transporter h, its parameter ``friction`` the nominal μ.
+            height: h, m; from ``standing_height`` and the board's thickness by default.
         """
         yaw, lean = (_weight(task.rewards, function) for function in (steering_command, position_alignment))
         friction = task.intrinsics.get("friction")
@@ -80,7 +80,7 @@ class Envelope:
         return cls(yaw, 0.0 - lean, standing if height is None else height, friction.nominal)
 
     def friction_yaw_rate(self, speeds: ArrayLike, yaw_rates: ArrayLike) -> Array:
-        """Compute the largest |ω| up to each command that friction holds, rad/s.
+        """Compute the largest |ω| up to each command that friction allows, rad/s.
 
         Args:
             speeds: c_v, m/s, (V,).
@@ -94,7 +94,7 @@ class Envelope:
             return np.minimum(asked, self.friction * GRAVITY / speed)
 
     def best_yaw_rate(self, speeds: ArrayLike, yaw_rates: ArrayLike) -> Array:
-        """Compute the steady |ω| of the largest reward, rad/s, (V, W); arguments as of the above."""
+        """Compute the steady |ω| of the largest reward, rad/s, (V, W); arguments as of :meth:`friction_yaw_rate`."""
         speed, asked = _grid(speeds, yaw_rates)
         most = self.friction_yaw_rate(speeds, yaw_rates)
         earned = self.yaw_weight * (np.exp((most - asked) / self.width) - np.exp(-asked / self.width))
@@ -102,14 +102,14 @@ class Envelope:
         return np.where(earned >= cost, most, 0.0)
 
     def yaw_error(self, speeds: ArrayLike, yaw_rates: ArrayLike, reward: bool = True) -> Array:
-        """Compute the settled yaw error of the best policy, rad/s, (V, W); without ``reward``, what friction leaves."""
+        """Compute the settled yaw error of the best policy, rad/s, (V, W); without ``reward``, by friction alone."""
         best = self.best_yaw_rate if reward else self.friction_yaw_rate
         return _grid(speeds, yaw_rates)[1] - best(speeds, yaw_rates)
 
     def follows(
         self, speeds: ArrayLike, yaw_rates: ArrayLike, reward: bool = True, error: float = SETTLED_YAW_ERROR
     ) -> NDArray[np.bool_]:
-        """Say which commands the best policy follows within ``error``, rad/s, (V, W) bool."""
+        """Return a mask of the commands that the best policy follows within ``error``, rad/s, (V, W) bool."""
         return self.yaw_error(speeds, yaw_rates, reward) <= error + 1e-9
 
     def share(
@@ -126,15 +126,15 @@ class Envelope:
             max_speed: largest |c_v|, m/s.
             max_yaw_rate: largest |c_ω|, rad/s.
             reward: whether the reward counts, or friction alone.
-            error: within which a command counts as followed, rad/s.
-            cells: a side of the grid over a quarter of the box whose midpoints are counted.
+            error: largest error at which a command counts as followed, rad/s.
+            cells: per side of the grid over a quarter of the box whose midpoints are counted.
         """
         middles = (np.arange(cells) + 0.5) / cells
         return float(self.follows(max_speed * middles, max_yaw_rate * middles, reward, error).mean())
 
 
 def envelope_of(env: EnvBase) -> Envelope | None:
-    """Return the envelope of an env's task; None for envs not ours, and for tasks that have none."""
+    """Return the envelope of an env's task; None for other base envs, and for tasks that have none."""
     base = base_env(env)
     return Envelope.of(base.task) if isinstance(base, QuadrupedEnv) else None
 

@@ -23,7 +23,7 @@ class EstimatorErrors:
     """First and second moments of the errors of each trial, over the steps that it was up; SI units.
 
     Attributes:
-        steps: how many steps those are, (V, W, R).
+        steps: number of those steps, (V, W, R).
         components: the E extrinsic states.
         extrinsic: mean |x̂ - x| of each state, (V, W, R, E).
         extrinsic_squared: mean |x̂ - x|², (V, W, R, E).
@@ -40,7 +40,7 @@ class EstimatorErrors:
 
     @staticmethod
     def join(parts: Sequence[EstimatorErrors | None], shape: tuple[int, ...]) -> EstimatorErrors | None:
-        """The parts' trials, one after the other, as ``shape`` (V, W, R); None if any part is None."""
+        """Concatenate the parts' trials as ``shape`` (V, W, R); None if any part is None."""
         known = [part for part in parts if part is not None]
         if not known or len(known) < len(parts):
             return None
@@ -56,7 +56,7 @@ class EstimatorErrors:
         return EstimatorErrors(components=known[0].components, **{name: joined(name) for name in fields})  # type: ignore[arg-type]
 
     def moments(self) -> tuple[tuple[float, float] | None, list[tuple[Component, float, float]]]:
-        """Mean and standard deviation over all steps of all trials: latent, and each extrinsic state.
+        """Compute mean and standard deviation over all steps of all trials: latent, and each extrinsic state.
 
         Example:
             >>> moments = np.array([[[[0.1, 0.2]]]])
@@ -81,13 +81,13 @@ def _spread(mean: float, square: float) -> tuple[float, float]:
 
 
 class EstimatorSums:
-    """Adds up the errors of n robots step by step.
+    """Accumulator of the estimation errors of n robots.
 
     Args:
-        n: robots.
+        n: number of robots.
         encoder: reads the env's privileged entries and writes the true latent; None to leave the latent out.
         keys: names of the entries.
-        components: the extrinsic states, given how many there are.
+        components: returns the extrinsic states, given their number.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class EstimatorSums:
         self._sums: dict[str, Tensor] = {}
 
     def add(self, observed: TensorDictBase, decided: TensorDictBase, alive: Tensor) -> None:
-        """Adds one step: the env's true states, the policy's estimates, and which robots count, (n,) bool."""
+        """Add one step: the env's true states, the policy's estimates, and a mask of the robots that count, (n,)."""
         keys = self._keys
         self._steps += alive
         truth, estimate = observed.get(keys.extrinsic, None), decided.get(keys.extrinsic_estimate, None)
@@ -120,7 +120,7 @@ class EstimatorSums:
             self._sums[key] = self._sums.get(key, torch.zeros_like(value)) + value
 
     def result(self) -> EstimatorErrors | None:
-        """The mean errors of each robot; None if there was no estimate whose truth the env emits."""
+        """Return the mean errors of each robot; None without an estimate whose true value the env emits."""
         if "extrinsic" not in self._sums:
             return None
         means = {

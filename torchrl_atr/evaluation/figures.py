@@ -35,23 +35,23 @@ from torchrl_atr.evaluation.plotting import (
 from torchrl_atr.evaluation.tracking import TrackingResult
 
 _WIDTHS = {"speed": 3.2, "yaw": 2.4, "combined": 1.8}
-"""Narrow lines lie on wide ones, dashed on solid ones: none hides another where they coincide."""
+"""Line widths: narrow lines are drawn over wide ones and dashed over solid ones, so that none hides another."""
 _NAMES = {"speed": "speed", "yaw": "yaw rate", "combined": "combined, $\\sqrt{e_v^2 + e_\\omega^2}$"}
 _ERRORS = "viridis"
 
 
 def plot_heatmaps(result: TrackingResult, path: str | Path, largest: tuple[float, float] | None = None) -> Path:
-    """Tracking errors over the command grid: RMS of speed, yaw rate and both, settled errors, fall rate.
+    """Plot tracking errors over the command grid: RMS of speed, yaw rate and both, settled errors, fall rate.
 
     Each cell is the mean over its robots; settled errors are of survivors (hatched where there is none), RMS errors
-    count up to a fall. Colours depend on the quantity and the grid alone, so that figures of one grid compare. Lines
-    bound the commands that can be followed at all (:class:`~torchrl_atr.evaluation.envelope.Envelope`).
+    count up to a fall. Colours depend on the quantity and the grid alone, so that figures of one grid are comparable.
+    Lines bound the commands that can be followed at all (:class:`~torchrl_atr.evaluation.envelope.Envelope`).
 
     Args:
         result: of :func:`~torchrl_atr.evaluation.evaluate_tracking`.
         path: the PNG to write.
         largest: errors of speed (m/s) and yaw rate (rad/s) at the ends of the colour scales, to compare grids; by
-            default the largest commands, which is what a board scores that never moves.
+            default the largest commands, the errors of a board that never moves.
     """
     up = result.survived
     combined = np.hypot(result.rms_speed_error, result.rms_yaw_error)
@@ -91,9 +91,9 @@ def plot_heatmaps(result: TrackingResult, path: str | Path, largest: tuple[float
 
 
 def plot_response(result: TrackingResult, path: str | Path) -> Path:
-    """What was asked against what came: settled speed over c_v, yaw rate over c_ω, one dot per survivor.
+    """Plot the achieved over the commanded: settled speed over c_v, yaw rate over c_ω, one dot per survivor.
 
-    The dots of a command stand side by side in the order of the other command. A bar is perfect tracking, the dotted
+    The dots of a command are side by side in the order of the other command. A bar is perfect tracking, the dotted
     line a board that stays still.
     """
     up = result.survived
@@ -116,7 +116,7 @@ def plot_response(result: TrackingResult, path: str | Path) -> Path:
 
 
 def _response(axis: Axes, asked: Array, others: Array, came: Array, name: str) -> None:
-    """One panel; ``came`` is (commands on its axis, other commands, robots), NaN where there is no dot."""
+    """Draw one panel; ``came`` is (commands on its axis, other commands, robots), NaN where there is no dot."""
     reach = 0.38 * spacing(asked)
     axis.hlines(asked, asked - reach, asked + reach, color=COLOURS[name], lw=2, label="perfect", zorder=1.5)
     axis.axhline(0.0, ls=":", color=GREY, lw=1.2, label="board that never moves", zorder=1)
@@ -131,7 +131,7 @@ def _response(axis: Axes, asked: Array, others: Array, came: Array, name: str) -
 
 
 def plot_command_area(result: TrackingResult, path: str | Path) -> Path:
-    """Share of trials within ε, for speed, yaw rate and both; in pale colours those of a board that never moves.
+    """Plot the share of trials within ε, for speed, yaw rate and both; pale: a board that never moves.
 
     Beside the settled yaw rate, in black: the share of the commands that can be followed within ε at all.
     """
@@ -160,7 +160,7 @@ def plot_command_area(result: TrackingResult, path: str | Path) -> Path:
 
 
 def _cells(values: Array, chosen: NDArray[np.bool_] | None = None) -> Array:
-    """Mean over the robots of each cell, NaN where none is chosen."""
+    """Compute the mean over the robots of each cell, NaN where none is chosen."""
     counted = np.isfinite(values) if chosen is None else chosen & np.isfinite(values)
     count = counted.sum(-1)
     total = np.where(counted, values, 0.0).sum(-1)

@@ -9,11 +9,11 @@ from scipy import stats
 Array = NDArray[np.float64]
 LEVEL = 0.95
 RESAMPLES = 1000
-"""Of a bootstrap."""
+"""Number of resamples of a bootstrap."""
 
 
 def wilson(count: int, n: int) -> tuple[float, float]:
-    """Return Wilson's score interval of a share; (0, 1) without any trial.
+    """Compute Wilson's score interval of a share; (0, 1) without any trial.
 
     Args:
         count: successes.
@@ -30,11 +30,11 @@ def wilson(count: int, n: int) -> tuple[float, float]:
 
 
 def pooled_mean(sums: Array, counts: Array) -> Array:
-    """Return the mean over all steps of all robots, (...); NaN where there is none.
+    """Compute the mean over all steps of all robots, (...); NaN without steps.
 
     Args:
         sums: of each robot over its steps, (..., n).
-        counts: how many steps those are, (..., n).
+        counts: number of those steps, (..., n).
 
     Example:
         >>> float(pooled_mean(np.array([1.0, 4.0]), np.array([1.0, 4.0])))
@@ -45,15 +45,15 @@ def pooled_mean(sums: Array, counts: Array) -> Array:
 
 
 def bootstrap(sums: Array, counts: Array, seed: int = 0) -> tuple[Array, Array]:
-    """Return the ends of the percentile bootstrap interval of :func:`pooled_mean`, (...) each; NaN of one robot.
+    """Compute the ends of the percentile bootstrap interval of :func:`pooled_mean`, (...) each; NaN for one robot.
 
-    Robots are drawn again, with all of their steps: these depend on each other. Draws without any step are left out,
+    Robots are resampled with all of their steps, since these are correlated. Resamples without any step are left out,
     which ``scipy.stats.bootstrap`` cannot do: it would have no interval where few robots are still up.
 
     Args:
         sums: of each robot over its steps, (..., n).
-        counts: how many steps those are, (..., n).
-        seed: of the draws.
+        counts: number of those steps, (..., n).
+        seed: of the resamples.
 
     Example:
         >>> low, high = bootstrap(np.array([1.0, 1.0, 1.0]), np.array([2.0, 2.0, 2.0]))

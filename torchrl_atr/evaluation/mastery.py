@@ -1,4 +1,4 @@
-"""The range of commands that a policy has mastered, from an evaluation."""
+"""Range of commands that a policy has mastered, from an evaluation."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ _TOLERANCE = 1e-9
 
 
 def mastered_range(result: TrackingResult, share: float = 0.95) -> CommandRange | None:
-    """Return the range of commands that holds the most mastered ones, at least ``share`` of those in it being mastered.
+    """Return the range with the most mastered commands in which at least ``share`` of the commands are mastered.
 
     A command is mastered if most robots stay up and settle within 0.5 m/s and 0.3 rad/s. Bounds are taken among the
     evaluated speeds, yaw rates and their products, so nothing beyond the evaluated commands is ever in the range.
 
     Args:
         result: of :func:`~torchrl_atr.evaluation.evaluate_tracking`, of a policy that is not clipped.
-        share: of the evaluated commands in the range.
+        share: least share of mastered commands among the evaluated ones in the range.
 
     Returns:
-        The range, the smallest of several alike; None if no range has that share.
+        The range, the smallest of several with as many commands; None if no range has that share.
 
     Example:
         >>> from torchrl_atr.evaluation import load_tracking

@@ -19,12 +19,12 @@ EPSILONS: tuple[float, ...] = tuple(round(0.05 * i, 2) for i in range(21))
 STRAIGHT_SPEED, STEERING_YAW = 2.0, 1.0
 """Largest |c_v| of ``settled_speed_error_straight`` (c_ω = 0) and largest |c_ω| of ``yaw_slope``."""
 MASTERED = (0.5, SETTLED_YAW_ERROR)
-"""Largest settled errors at which a command counts as ridden, m/s and rad/s."""
+"""Largest settled errors at which a command counts as mastered, m/s and rad/s."""
 _TOLERANCE = 1e-6
 
 
 def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILONS) -> dict[str, Any]:
-    """Everything that ``metrics.json`` holds.
+    """Return the contents of ``metrics.json``.
 
     ``protocol``; ``n`` trials; ``survival``, their share without a fall; ``settled_speed_error`` (m/s) and
     ``settled_yaw_error`` (rad/s), means over the survivors of all commands; ``settled_speed_error_straight``,
@@ -33,8 +33,8 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
     |c_ω| <= 1, and ``yaw_slope_by_speed``; ``commands_mastered``, the share of the commands at which most robots
     stay up and settle within :data:`MASTERED`; ``commands_mastered_of_envelope``, the same of those commands that can
     be followed at all; ``command_area`` (:func:`command_area`); ``do_nothing``, the same figures for a board that never
-    moves; ``envelope`` (:func:`envelope_table`); ``estimator_errors`` (Table V). What has no value (no survivors, a
-    single yaw command, a task without an envelope) is None.
+    moves; ``envelope`` (:func:`envelope_table`); ``estimator_errors`` (Table V). Entries without a value (no survivors,
+    a single yaw command, a task without an envelope) are None.
 
     Args:
         result: of :func:`~torchrl_atr.evaluation.evaluate_tracking`.
@@ -60,7 +60,7 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
 
 
 def do_nothing(result: TrackingResult) -> TrackingResult:
-    """The same for a board that never moves: every error is the command, and nobody falls, by definition."""
+    """Return the result of a board that never moves: every error is the command, and nobody falls, by definition."""
     shape = result.fall_time.shape
     speed = np.broadcast_to(np.abs(result.speed_commands)[:, None, None], shape)
     yaw = np.broadcast_to(np.abs(result.yaw_commands)[None, :, None], shape)
@@ -106,13 +106,13 @@ def _figures(result: TrackingResult, epsilons: Sequence[float]) -> dict[str, Any
 
 
 def mastered_commands(result: TrackingResult) -> NDArray[np.bool_]:
-    """Commands at which most robots stay up and settle within :data:`MASTERED`, (V, W)."""
+    """Return a mask of the commands at which most robots stay up and settle within :data:`MASTERED`, (V, W)."""
     near = (result.settled_speed_error <= MASTERED[0]) & (result.settled_yaw_error <= MASTERED[1])
     return (result.survived & near).mean(-1) > 0.5
 
 
 def envelope_table(result: TrackingResult) -> dict[str, Any] | None:
-    """What the best policy could do on the evaluated commands; None for a task without an envelope.
+    """Return the bounds of any policy on the evaluated commands; None for a task without an envelope.
 
     Returns:
         ``commands``, the share of the commands that it follows within 0.3 rad/s under the task's reward; ``friction``,
@@ -126,7 +126,7 @@ def envelope_table(result: TrackingResult) -> dict[str, Any] | None:
 
 
 def envelope_curve(result: TrackingResult, epsilons: Sequence[float] = EPSILONS) -> list[float] | None:
-    """Share of the commands that the best policy follows within ε rad/s, by ε; None for a task without an envelope."""
+    """Compute the share of the commands that the best policy follows within ε rad/s, by ε; None without an envelope."""
     if result.envelope is None:
         return None
     error = result.envelope.yaw_error(result.speed_commands, result.yaw_commands)
@@ -134,7 +134,7 @@ def envelope_curve(result: TrackingResult, epsilons: Sequence[float] = EPSILONS)
 
 
 def _share_of_envelope(chosen: NDArray[np.bool_], result: TrackingResult) -> float | None:
-    """Share of the commands within the envelope that are chosen."""
+    """Compute the share of the commands within the envelope that are chosen."""
     return None if result.envelope is None else _mean(chosen[_followed(result)].astype(np.float64))
 
 
@@ -144,7 +144,7 @@ def _followed(result: TrackingResult) -> NDArray[np.bool_]:
 
 
 def command_area(result: TrackingResult, epsilons: Sequence[float] = EPSILONS) -> dict[str, Any]:
-    """Share of trials whose error is at most ε, as curves over ε (readings A28, A29).
+    """Compute the share of trials whose error is at most ε, as curves over ε (questions A28, A29).
 
     A trial that fell is outside every ε. ``rms`` is over the whole trial from rest, as in the paper,
     ``settled`` is the mean absolute error after the settling time; ``combined`` is √(e_v² + e_ω²). A share
@@ -167,7 +167,7 @@ def _area_curve(error: Array, survived: NDArray[np.bool_], epsilons: Sequence[fl
 
 
 def regression_slope(x: Array, y: Array) -> float:
-    """Least-squares slope of y on x with an intercept; NaN if x does not vary.
+    """Compute the least-squares slope of y on x with an intercept; NaN if x does not vary.
 
     Example:
         >>> regression_slope(np.array([0.0, 1.0, 2.0]), np.array([1.0, 3.0, 5.0]))
@@ -179,7 +179,7 @@ def regression_slope(x: Array, y: Array) -> float:
 
 
 def estimator_table(result: TrackingResult) -> dict[str, Any] | None:
-    """Table V: mean and standard deviation of ‖ẑ - z‖ and of |x̂ - x| by component; None without estimates."""
+    """Return Table V: mean and standard deviation of ‖ẑ - z‖ and of |x̂ - x| by component; None without estimates."""
     if result.estimators is None:
         return None
     latent, extrinsic = result.estimators.moments()

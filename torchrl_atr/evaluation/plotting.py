@@ -44,11 +44,11 @@ SHARES = "cividis"
 """Colour map of shares and weights."""
 _HATCH: Any = {"facecolor": "0.95", "edgecolor": "0.6", "hatch": "///////", "linewidth": 0.0}
 _OUTLINE = "#E6009A"
-"""Unlike any colour of the maps."""
+"""Colour of the envelope's outline, in neither colour map."""
 _REWARD_LINE: Any = {"linestyles": "-", "linewidths": 1.4}
 _FRICTION_LINE: Any = {"linestyles": ":", "linewidths": 1.4}
 _MOST_LABELS = 15
-"""Cells side by side in which a value can be read."""
+"""Largest number of cells in a row whose values are printed."""
 _MOST_TICKS = 7
 _LUMINANCE = (0.299, 0.587, 0.114)
 
@@ -57,13 +57,13 @@ def heatmap(axis: Axes, x: Array, y: Array, values: Array, colours: str, top: fl
     """Draw ``values`` over a grid of commands; cells without a value are hatched.
 
     Args:
-        axis: where.
+        axis: to draw on.
         x: speeds, m/s, (V,), in any order and at any distances.
         y: yaw rates, rad/s, (W,), likewise.
-        values: (V, W), from 0 on, NaN where there is none.
+        values: non-negative, (V, W), NaN where there is none.
         colours: name of a colour map.
-        top: value of its last colour; larger ones have it, too.
-        power: exponent of the colour scale; 0.5 tells small values apart beside large ones.
+        top: value of its last colour, which larger values have, too.
+        power: exponent of the colour scale; 0.5 resolves small values beside large ones.
 
     Returns:
         The mesh, for a colour bar.
@@ -84,7 +84,7 @@ def heatmap(axis: Axes, x: Array, y: Array, values: Array, colours: str, top: fl
 
 
 def draw_envelope(axis: Axes, envelope: Envelope) -> None:
-    """Outline what can be followed at all in a panel over commands, under the reward and by friction alone.
+    """Outline the commands that can be followed at all, under the reward and by friction alone.
 
     An outline that would lie outside the panel is left out.
     """
@@ -96,7 +96,7 @@ def draw_envelope(axis: Axes, envelope: Envelope) -> None:
 
 
 def envelope_handles() -> list[Line2D]:
-    """The legend's entries of :func:`draw_envelope`."""
+    """Return the legend entries of :func:`draw_envelope`."""
     labels = {f"within {SETTLED_YAW_ERROR:g} rad/s under the reward": _REWARD_LINE, "by friction": _FRICTION_LINE}
     return [
         Line2D([], [], color=_OUTLINE, lw=style["linewidths"], ls=style["linestyles"], label=f"bound: {label}")
@@ -114,7 +114,7 @@ def colour_bar(figure: Figure, axis: Axes, mesh: QuadMesh, label: str) -> None:
 
 
 def _scale_ticks(norm: Any) -> list[float]:
-    """The ends of a colour scale, and numbers of one digit between them that are far enough from each other."""
+    """Return the ends of a colour scale, and well-separated numbers of one digit between them."""
     top = float(norm.vmax or 1.0)
     decades = 10.0 ** np.arange(np.floor(np.log10(top)), np.floor(np.log10(top)) - 4, -1)
     ticks = [top]
@@ -126,17 +126,17 @@ def _scale_ticks(norm: Any) -> list[float]:
 
 
 def hatch_handle(label: str) -> Patch:
-    """The legend's entry of cells without a value."""
+    """Return the legend entry of cells without a value."""
     return Patch(label=label, **_HATCH)
 
 
 def panel_size(x: Sequence[float] | Array, y: Sequence[float] | Array) -> tuple[float, float]:
-    """Width and height of a heat map with its labels and colour bar, inches: large grids need room for their values."""
+    """Return width and height of a heat map with its labels and colour bar, inches; they grow with the grid."""
     return float(np.clip(0.36 * len(x), 2.9, 4.4)) + 0.9, float(np.clip(0.26 * len(y), 2.3, 3.8)) + 0.75
 
 
 def command_ticks(axis: Axis, values: Array) -> None:
-    """Put ticks at the commands where they are few, else at multiples of 1, 2 or 5 in a power of ten."""
+    """Put ticks at the commands if they are few, else at multiples of 1, 2 or 5 times a power of ten."""
     few = len(values) <= _MOST_TICKS
     axis.set_major_locator(FixedLocator(list(values)) if few else MaxNLocator(_MOST_TICKS, steps=[1, 2, 5, 10]))
     if few:
@@ -144,12 +144,12 @@ def command_ticks(axis: Axis, values: Array) -> None:
 
 
 def spacing(values: Array) -> float:
-    """The least distance between two of the commands; 1 where there is one."""
+    """Return the smallest distance between two of the commands; 1 if there is only one."""
     return float(np.diff(np.unique(values)).min()) if len(np.unique(values)) > 1 else 1.0
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a PNG, whole or not at all, and close the figure."""
+    """Write a PNG atomically and close the figure."""
     with atomic(path) as file:
         figure.savefig(file, dpi=130, facecolor="white")
     plt.close(figure)
@@ -157,7 +157,7 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 
 def _edges(centres: Array) -> Array:
-    """Borders of cells: halfway between two centres, and as far beyond the outer ones; (n + 1,)."""
+    """Return the edges of cells: halfway between two centres, and as far beyond the outer ones; (n + 1,)."""
     if len(centres) == 1:
         return np.array([centres[0] - 0.5, centres[0] + 0.5])
     middles = (centres[1:] + centres[:-1]) / 2
@@ -173,7 +173,7 @@ def _label_cells(axis: Axes, mesh: QuadMesh, x: Array, y: Array, values: Array) 
 
 
 def short(value: float) -> str:
-    """Two digits or so of a non-negative number.
+    """Format a non-negative number with about two digits.
 
     Example:
         >>> [short(value) for value in (0.0, 0.004, 0.123, 1.0, 3.21, 12.3)]

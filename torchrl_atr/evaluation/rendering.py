@@ -1,4 +1,4 @@
-"""Offscreen pictures of one robot of an env: OpenGL without a display, a camera that follows, a caption."""
+"""Offscreen rendering of one robot of an env: OpenGL without a display, a camera that follows, a caption."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from torchrl_atr.envs.models.floor import floor_period, near_origin
 from torchrl_atr.evaluation.access import base_env
 
 CHASE = "chase"
-"""Follows the board from behind; turns after it with a lag, so that turning shows."""
+"""Camera that follows the board from behind and turns with a lag, so that turning is visible."""
 _BACKENDS = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": "mujoco.glfw"}
 _TURNING_TIME = 1.5  # s
 _NO_GL = (
@@ -32,16 +32,16 @@ _NO_GL = (
 
 
 class DisplayError(UserError, RuntimeError):
-    """Nothing here can show or render; the message says what to install or to do instead."""
+    """Error of a machine that cannot display or render; the message names the remedy."""
 
 
 def has_display() -> bool:
-    """Whether a window could be opened here."""
+    """Return whether a window can be opened on this machine."""
     return not sys.platform.startswith("linux") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def gl_backend() -> str:
-    """``MUJOCO_GL`` if set; else glfw with a display, egl without (osmesa where only that is installed)."""
+    """Return ``MUJOCO_GL`` if set; else glfw with a display, egl without (osmesa where only that is installed)."""
     named = os.environ.get("MUJOCO_GL", "").strip().lower()
     if named in _BACKENDS:
         return named
@@ -66,19 +66,19 @@ def _make_contexts(model: mujoco.MjModel, size: tuple[int, int]) -> tuple[Any, m
 
 
 class OffscreenRenderer:
-    """Renders one robot of a riding env; a context manager.
+    """Renderer of one robot of an env; a context manager.
 
-    The env keeps board and robot at the origin; here the board's odometer is added back, so that it moves over the
-    floor, which is the same however far it rode: see :class:`SceneView`.
+    The env keeps board and robot at the origin; the board's offset in the world is added back, so that it moves over
+    the floor: see :class:`SceneView`.
 
     Args:
-        env: a RidingEnv, transformed or not.
+        env: a QuadrupedEnv, transformed or not.
         size: width and height, pixels; at most the scene's offscreen buffer, 1280 x 960.
         camera: ``"chase"``, or the name of a camera of the model.
-        row: which robot.
+        row: index of the robot.
 
     Raises:
-        DisplayError: if nothing here can render; says what to install.
+        DisplayError: if this machine cannot render; names what to install.
         TypeError: if the env is not a QuadrupedEnv below its transforms.
         InputError: if the picture is too large, or there is no such camera.
     """
@@ -112,7 +112,7 @@ class OffscreenRenderer:
         return camera
 
     def render(self, text: str = "", values: str = "", dt: float = 0.04) -> NDArray[np.uint8]:
-        """The robot as it is now.
+        """Render the robot's current state.
 
         Args:
             text: left column of a caption at the top left, lines separated by line breaks.
@@ -142,13 +142,13 @@ class OffscreenRenderer:
         x, y, heading = self._view.pose()
         if self._heading is None:
             self._heading = heading
-        behind = math.remainder(heading - self._heading, math.tau)  # a reset, or a state of one's own, may turn it back
+        behind = math.remainder(heading - self._heading, math.tau)  # a reset or set_state may turn it back
         self._heading += behind * min(1.0, dt / _TURNING_TIME)
         self._camera.lookat[:] = [x, y, 0.3]
         self._camera.azimuth = np.degrees(self._heading) + 35.0
 
     def close(self) -> None:
-        """Frees the OpenGL context; left to the interpreter's exit, it would complain."""
+        """Free the OpenGL context; at the interpreter's exit this would print errors."""
         if self._context is not None:
             self._mjr.free()
             self._context.free()
@@ -164,14 +164,14 @@ class OffscreenRenderer:
 
 
 class SceneView:
-    """A MuJoCo model and data of our own that show one robot of an env, where it is on the floor.
+    """Separate MuJoCo model and data that show one robot of an env at its place on the floor.
 
     Positions are those in the world less a whole number of the floor's tiles, within 50 m of the origin: the
     picture is the same, and float32, in which OpenGL computes, does not jitter after kilometres.
 
     Args:
-        env: a QuadrupedEnv, transformed or not; either engine.
-        row: which robot.
+        env: a QuadrupedEnv, transformed or not, with any engine.
+        row: index of the robot.
 
     Raises:
         TypeError: if the env is not a QuadrupedEnv below its transforms.
@@ -182,7 +182,7 @@ class SceneView:
         if not hasattr(base, "engine"):
             raise TypeError(f"{type(base).__name__} has no MuJoCo engine to show; use a QuadrupedEnv")
         self.engine, self.row = base.engine, row
-        # what is randomised (masses, gains, friction) does not show, so the nominal model will do
+        # the randomised parameters (masses, gains, friction) are invisible, so the nominal model is enough
         self.model: mujoco.MjModel = copy.copy(base.model)
         # the shadow map covers the extent: of the board alone, its edge would run through the picture
         self.model.stat.extent, self.model.vis.quality.shadowsize = 3.0, 2048
@@ -191,7 +191,7 @@ class SceneView:
         self.update()
 
     def update(self) -> None:
-        """Copies the robot's configuration from the env."""
+        """Copy the robot's configuration from the env."""
         engine = self.engine
         self.data.qpos[:] = engine.qpos[self.row].numpy()
         place = near_origin(engine.world_offset[self.row].numpy(), self._period)
@@ -200,10 +200,10 @@ class SceneView:
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
-        self.data.light_xpos[:, :2] += self.pose()[:2]  # the light goes along, or shadows would be left behind
+        self.data.light_xpos[:, :2] += self.pose()[:2]  # the light moves with the robot, or it would leave its shadows
 
     def pose(self) -> tuple[float, float, float]:
-        """Return position (m, less a whole number of tiles) and heading (rad) of what the camera follows."""
+        """Return position (m, less a whole number of tiles) and heading (rad) of the body that the camera follows."""
         body = self.engine.scene.layout.followed_body
         (x, y, _), rotation = self.data.xpos[body], self.data.xmat[body]
         return float(x), float(y), float(np.arctan2(rotation[3], rotation[0]))

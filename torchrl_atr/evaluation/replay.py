@@ -1,4 +1,4 @@
-"""A failed simulation once more: each recorded control step from the state that it began from."""
+"""Replay of a failed simulation: each recorded control step from its recorded initial state."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from torchrl_atr.evaluation.video import check_suffix, video_writer
 
 @dataclass(frozen=True)
 class ReplayedStep:
-    """One control step of a dump, simulated again.
+    """Control step of a dump, simulated again.
 
     Attributes:
-        step: since the start of the episode.
-        speed, yaw_rate: what answers the command after it, m/s and rad/s; NaN of a task that observes no ``speeds``.
+        step: number of the step since the start of the episode.
+        speed, yaw_rate: achieved after the step, m/s and rad/s; NaN for a task that observes no ``speeds``.
         tilt: the larger of the body's roll and pitch, rad.
-        largest_velocity: of all of MuJoCo's ``qvel`` after it, m/s or rad/s.
+        largest_velocity: of all entries of MuJoCo's ``qvel`` after the step, m/s or rad/s.
         largest_action: of the twelve, in units of the action scale.
-        diverged: whether the simulation failed in it.
+        diverged: whether the simulation failed in this step.
     """
 
     step: int
@@ -45,19 +45,19 @@ class ReplayedStep:
 
 
 def replay(path: str | Path, video: str | Path | None = None) -> Generator[ReplayedStep, None, None]:
-    """Steps through a dump that a :class:`~torchrl_atr.envs.QuadrupedEnv` with a ``dump_dir`` wrote.
+    """Step through a dump that a :class:`~torchrl_atr.envs.QuadrupedEnv` with a ``dump_dir`` wrote.
 
     Args:
         path: the dump.
-        video: ``.mp4`` or ``.gif``, written slowed down ten times; None for no pictures.
+        video: ``.mp4`` or ``.gif``, slowed down ten times; None for no video.
 
     Yields:
         The recorded steps, oldest first; the last one is the step that failed.
 
     Raises:
-        InputError: if it is no dump, its robot or transporter is unknown or another one here, or the video has another
+        InputError: if it is no dump, its robot or transporter is unknown or has changed, or the video has another
             suffix.
-        DisplayError: if there is a video to make and nothing here can render.
+        DisplayError: if a video is asked for and this machine cannot render.
     """
     dump = load_dump(Path(path))
     if video is not None:
@@ -112,7 +112,7 @@ def _steps(env: QuadrupedEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:
     for index, action in enumerate(actions):
         begun = {name: value[index].unsqueeze(0) for name, value in states.items()}
         env.runner.set_state({**idle, **begun, "x_int": dump["x_int"].unsqueeze(0)})
-        # any time but 0: MuJoCo starts it anew where it resets a simulation, which shows
+        # any time but 0: MuJoCo sets it to 0 where it resets a simulation, which is how that is detected
         engine.set_time(torch.tensor([float(dump["step"])], dtype=torch.float64))
         engine.advance(DECIMATION)
         speeds = env.runner.observe(command).get("speeds", unknown)[0]

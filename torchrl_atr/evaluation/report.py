@@ -1,4 +1,4 @@
-"""The files of an evaluation: ``metrics.json``, ``tracking.npz`` and the figures, each written atomically."""
+"""Files of a tracking evaluation: ``metrics.json``, ``tracking.npz`` and the figures, each written atomically."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from torchrl_atr.evaluation.estimators import EstimatorErrors
 from torchrl_atr.evaluation.tracking import TrackingResult
 
 _PARTS = {"estimators": EstimatorErrors, "envelope": Envelope}
-"""Fields of a result that have fields of their own: ``estimators.components`` and the like in the file."""
+"""Nested fields of a result, stored under names such as ``estimators.components``."""
 
 
 def write_report(result: TrackingResult, metrics: Mapping[str, Any], output_dir: str | Path) -> dict[str, Path]:
-    """Writes ``metrics.json``, ``tracking.npz``, ``heatmaps.png``, ``response.png`` and ``command_area.png``.
+    """Write ``metrics.json``, ``tracking.npz``, ``heatmaps.png``, ``response.png`` and ``command_area.png``.
 
     Args:
         result: of :func:`~torchrl_atr.evaluation.evaluate_tracking`.
         metrics: of :func:`~torchrl_atr.evaluation.tracking_metrics`; more entries are welcome.
-        output_dir: made if it does not exist.
+        output_dir: folder; created if it does not exist.
 
     Returns:
         The files by name.
@@ -50,7 +50,7 @@ def write_report(result: TrackingResult, metrics: Mapping[str, Any], output_dir:
 
 
 def save_tracking(result: TrackingResult, path: str | Path) -> Path:
-    """Writes all figures of all trials as one ``.npz`` file; :func:`load_tracking` reads it back."""
+    """Write all figures of all trials as one ``.npz`` file; :func:`load_tracking` reads it back."""
     arrays = {f.name: getattr(result, f.name) for f in fields(result) if f.name not in _PARTS}
     for part in _PARTS:
         if (value := getattr(result, part)) is not None:
@@ -66,7 +66,7 @@ def save_tracking(result: TrackingResult, path: str | Path) -> Path:
 
 
 def load_tracking(path: str | Path) -> TrackingResult:
-    """Reads what :func:`save_tracking` wrote.
+    """Read a file that :func:`save_tracking` wrote.
 
     Raises:
         FileNotFoundError: if there is no such file.

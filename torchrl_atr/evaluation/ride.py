@@ -1,4 +1,4 @@
-"""Robots that ride commands under a policy, as every evaluation has them: from rest, and who falls stays down."""
+"""Rollouts of a policy on pinned commands, shared by all evaluations: from rest, without a reset of fallen robots."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from torchrl_atr.evaluation.access import achieved_speeds, command_owner, determ
 from torchrl_atr.modules.keys import NetworkKeys
 
 MAX_ROBOTS = 1024
-"""Robots simulated at once; larger evaluations go in chunks."""
+"""Largest number of robots simulated at once; larger evaluations run in chunks."""
 
 
 class MakeEnv(Protocol):
-    """Builds a chunk's env, such as ``partial(make_riding_env, "a1", "single_board", pushes=False)``."""
+    """Factory of a chunk's env, such as ``partial(make_riding_env, "a1", "single_board", pushes=False)``."""
 
     def __call__(self, *, num_envs: int, seed: int) -> EnvBase:
-        """An env of ``num_envs`` robots whose transform pins commands."""
+        """Return an env of ``num_envs`` robots whose transform pins commands."""
         ...
 
 
 @dataclass
 class RideStep:
-    """One control step of n robots.
+    """Control step of n robots.
 
     Attributes:
-        index: steps before it.
+        index: number of steps before it.
         command: in force during it, (n, C).
-        observed: what the env emitted before it.
-        decided: what the policy wrote.
-        up: which robots were up before it, (n,) bool.
-        speeds: what answers the command after it, (n, C).
-        down: which robots are down after it: those that were, and those whose episode the env ended in it, (n,) bool.
-            Whoever is told of the step may add more.
+        observed: the env's entries before it.
+        decided: the policy's output.
+        up: mask of the robots that were up before it, (n,) bool.
+        speeds: achieved after it, one value per command component, (n, C).
+        down: mask of the robots that are down after it, before or because the env ended their episode, (n,) bool.
+            The watch may add more.
     """
 
     index: int
@@ -66,10 +66,10 @@ def ride(
     speeds: Callable[[EnvBase], Tensor] = achieved_speeds,
     keys: NetworkKeys | None = None,
 ) -> None:
-    """Ride ``total`` steps from a reset, without exploration; ``watch`` is told of each.
+    """Ride ``total`` steps from a reset, without exploration, and call ``watch`` after each.
 
-    The policy is handed its own ``in_keys`` and nothing else. Nothing is reset: a robot that fell stays down, and acts
-    no more.
+    The policy gets its own ``in_keys`` and nothing else. Nothing is reset: a robot that fell stays down, and its action
+    is zero.
 
     Args:
         policy: writes the action.
@@ -77,12 +77,12 @@ def ride(
         commands: one after the other, (K, n, C); the last one stays.
         total: control steps.
         watch: called after each step.
-        command_steps: how long a command lasts; None for ever.
-        speeds: measures what answers the command of the env's robots, (n, C).
+        command_steps: duration of a command; None for the whole ride.
+        speeds: measures the env's robots, one value per command component, (n, C).
         keys: names of the TensorDict entries, if the env has its own.
 
     Raises:
-        TypeError: if the env cannot pin commands, or cannot be measured.
+        TypeError: if the env cannot pin commands, or has no achieved speeds.
     """
     owner, action, lasts = command_owner(env), (keys or NetworkKeys()).action, command_steps or total
     up = torch.ones(commands.shape[1], dtype=torch.bool)
@@ -94,10 +94,10 @@ def ride(
             observed = td
             decided = policy(td.select(*policy.in_keys, strict=False))
             td = td.copy().update(decided)
-            # what a fallen robot's policy says may be anything; the env would refuse a NaN
+            # the policy's output for a fallen robot may be anything; the env would refuse a NaN
             td[action] = td[action].where(up.unsqueeze(-1), torch.zeros(()))
             if (index + 1) % lasts == 0 and number + 1 < len(commands):
-                owner.pin(commands[number + 1])  # shows in what this step leads to: the next one answers it
+                owner.pin(commands[number + 1])  # observed after this step, so it is in force from the next one
             td = env.step(td)
             down = ~up | td["next", "terminated"].reshape(-1)
             step = RideStep(index, commands[number], observed, decided, up, speeds(env), down)
@@ -124,8 +124,8 @@ def ride_in_chunks(
         make_env: called as ``make_env(num_envs=n, seed=s)``.
         commands: one after the other, (K, n, C).
         total: control steps.
-        make_watch: from a chunk's env and its commands to what is told of its steps.
-        seed: of the first chunk's env; the next ones count on from it.
+        make_watch: returns the watch of a chunk, given its env and commands.
+        seed: of the first chunk's env; further chunks have the seeds after it.
         progress: called with (steps done, steps in total) after every step.
         **options: of :func:`ride`.
 
@@ -150,10 +150,10 @@ def ride_in_chunks(
 
 
 def build_env(make_env: MakeEnv, num_envs: int, seed: int) -> EnvBase:
-    """Return the env that ``make_env`` makes.
+    """Build an env and check its number of robots.
 
     Raises:
-        ValueError: if it has another number of robots.
+        ValueError: if ``make_env`` built another number of robots.
     """
     env = make_env(num_envs=num_envs, seed=seed)
     if env.batch_size != torch.Size([num_envs]):
@@ -162,7 +162,7 @@ def build_env(make_env: MakeEnv, num_envs: int, seed: int) -> EnvBase:
 
 
 def key_name(key: NestedKey) -> str:
-    """Return the name of an entry as one text.
+    """Return the name of an entry as one string.
 
     Example:
         >>> key_name(("privileged", "intrinsic"))

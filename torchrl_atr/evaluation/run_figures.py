@@ -37,11 +37,11 @@ LEARNING_CURVES: dict[str, str] = {
     "learning_rate": "learning rate [1]",
     "frames_per_second": "robot steps per second [1/s]",
 }
-"""Columns of ``progress.csv`` that have a panel, and their labels; those a run does not have are left out."""
+"""Columns of ``progress.csv`` that have a panel, and their labels; columns that a run lacks are left out."""
 
 
 def plot_learning_curves(progress_csv: str | Path, path: str | Path, curves: Mapping[str, str] | None = None) -> Path:
-    """One panel for each column of a run's ``progress.csv`` that ``curves`` knows, over frames (or rows).
+    """Plot the columns of a run's ``progress.csv`` that ``curves`` names, one panel each, over frames (or rows).
 
     Args:
         progress_csv: one row per iteration, with a header.
@@ -81,7 +81,7 @@ def plot_learning_curves(progress_csv: str | Path, path: str | Path, curves: Map
 
 
 def _limits(values: Array) -> tuple[float, float] | None:
-    """Limits of an axis that does not blow up what hardly varies: at least a tenth of the values' size."""
+    """Return the limits of an axis, which span at least a tenth of the values' magnitude."""
     known = values[np.isfinite(values)]
     if not known.size:
         return None
@@ -92,7 +92,7 @@ def _limits(values: Array) -> tuple[float, float] | None:
 
 
 def plot_runs(runs: Mapping[str, Mapping[str, str | Path]], path: str | Path) -> Path:
-    """Episode length and return over the minutes of several runs, a column of two panels for each group of them.
+    """Plot episode length and return over the minutes of several runs, a column of two panels per group.
 
     Bold: mean over the last 15 iterations; faint: every iteration.
 
@@ -133,7 +133,7 @@ def _noisy_line(axis: Axes, x: Array, y: Array, colour: str, style: str) -> None
 
 
 def plot_curriculum(weights: Any, bounds: tuple[float, float], path: str | Path) -> Path:
-    """The command curriculum's weights over its grid.
+    """Plot the command curriculum's weights over its grid.
 
     Args:
         weights: one weight in [0, 1] per cell, (cells along c_v, cells along c_ω).
@@ -151,7 +151,7 @@ def plot_curriculum(weights: Any, bounds: tuple[float, float], path: str | Path)
 
 
 def _read_columns(path: Path) -> dict[str, Array]:
-    """Columns of numbers; what is empty or no number is NaN."""
+    """Read the columns of a CSV file as numbers; empty and invalid cells are NaN."""
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     names = [name for name in (rows[0] if rows else ()) if name is not None]  # None: values beyond the header's

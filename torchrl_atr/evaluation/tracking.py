@@ -28,7 +28,7 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class TrackingResult:
-    """One figure per trial: arrays are (V, W, R), for V speeds, W yaw rates and R robots, unless noted.
+    """Figures of each trial; arrays are (V, W, R), for V speeds, W yaw rates and R robots, unless noted.
 
     Attributes:
         speed_commands: c_v, m/s, (V,).
@@ -44,7 +44,7 @@ class TrackingResult:
         settle: seconds at its start that the settled figures leave out.
         policy_reads: the policy's ``in_keys``: evidence that nothing privileged was among them.
         estimators: errors of the policy's estimates, if it writes any.
-        envelope: which commands can be followed at all, if that is known of the task.
+        envelope: bounds of the commands that can be followed at all, if known for the task.
     """
 
     speed_commands: Array
@@ -71,7 +71,7 @@ class TrackingResult:
 def command_grid(
     v_max: float = 2.0, w_max: float = 1.0, v_step: float = 1.0, w_step: float = 0.25
 ) -> tuple[Array, Array]:
-    """The commands [-v_max, v_max] x [-w_max, w_max]: speeds (V,) in m/s and yaw rates (W,) in rad/s.
+    """Return the commands [-v_max, v_max] x [-w_max, w_max]: speeds (V,) in m/s and yaw rates (W,) in rad/s.
 
     Raises:
         InputError: if a step is not positive or does not divide its range.
@@ -108,11 +108,10 @@ def evaluate_tracking(
     keys: NetworkKeys | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> TrackingResult:
-    """Rides every command from rest and measures how well it is kept.
+    """Ride every command from rest and measure the tracking errors.
 
-    Actions are the distribution's deterministic sample. The policy is handed its own ``in_keys`` and nothing
-    else. Each robot has intrinsics of its own. Nothing is reset: a robot that falls stays down, and its
-    figures end there.
+    Actions are the distribution's deterministic sample. The policy gets its own ``in_keys`` and nothing else. Each
+    robot has its own intrinsic parameters. Nothing is reset: a robot that falls stays down, and its figures end there.
 
     Args:
         policy: writes the action; it may also write estimates.
@@ -121,9 +120,9 @@ def evaluate_tracking(
         robots_per_command: R.
         seconds: length of a trial.
         settle: seconds at its start that the settled figures leave out.
-        seed: of the first chunk's env; the next ones count on from it.
-        encoder_module: reads the env's intrinsics and writes the latent, for the latent estimate's error.
-        speeds: measures what answers the command of an env's robots, (N, 2).
+        seed: of the first chunk's env; further chunks have the seeds after it.
+        encoder_module: reads the env's intrinsic parameters and writes the latent, for the latent estimate's error.
+        speeds: measures the achieved speed and yaw rate of an env's robots, (N, 2).
         dt: control period, s.
         keys: names of the TensorDict entries, if the env has its own.
         progress: called with (steps done, steps in total) after every step.
@@ -132,8 +131,8 @@ def evaluate_tracking(
         The figures of all V x W x R trials.
 
     Raises:
-        InputError: for impossible numbers. ValueError: if ``make_env`` built another number of robots.
-        TypeError: if the env cannot pin commands, or cannot be measured.
+        InputError: for invalid numbers. ValueError: if ``make_env`` built another number of robots.
+        TypeError: if the env cannot pin commands, or has no achieved speeds.
 
     Example:
         >>> from torchrl_atr.envs import make_riding_env
@@ -183,7 +182,7 @@ def evaluate_tracking(
 
 
 class _Recorder:
-    """One chunk's commands (n, 2), what was measured (T, n, 2), and who was up (T + 1, n)."""
+    """Recorder of a chunk: commands (n, 2), measured speeds (T, n, 2), and robots that were up (T + 1, n)."""
 
     def __init__(self, env: EnvBase, commands: Tensor, encoder: TensorDictModuleBase | None, keys: NetworkKeys) -> None:
         self.commands, self.envelope = commands, envelope_of(env)
@@ -202,18 +201,18 @@ class _Recorder:
 
     @property
     def alive(self) -> NDArray[np.bool_]:
-        """Whether each robot was up at the start of each step, and at the end in the last row, (T + 1, n)."""
+        """Mask of the robots that were up at the start of each step, and at the end in the last row, (T + 1, n)."""
         return torch.stack(self._alive).numpy()
 
 
 def summarise(
     measured: Array, alive: NDArray[np.bool_], commands: ArrayLike, dt: float, settled: int
 ) -> dict[str, Array]:
-    """The figures of n trials; a trial counts up to and including the step of its fall.
+    """Compute the figures of n trials; a trial counts up to and including the step of its fall.
 
     Args:
         measured: forward speed (m/s) and yaw rate (rad/s) after each step, (T, n, 2).
-        alive: whether a robot was up at the start of each step, and at the end in the last row, (T + 1, n).
+        alive: mask of the robots that were up at the start of each step, and at the end in the last row, (T + 1, n).
         commands: (n, 2).
         dt: control period, s.
         settled: steps that the settled figures leave out.
@@ -243,7 +242,7 @@ def summarise(
 
 
 def _mean(values: Array, counted: NDArray[np.bool_]) -> Array:
-    """Mean over time of (T, n, 2) where counted (T, n); NaN where nothing is."""
+    """Compute the mean over time of (T, n, 2) where counted (T, n); NaN without counted steps."""
     total = np.where(counted[..., None], values, 0.0).sum(0)
     count = counted.sum(0).astype(np.float64)[:, None]
     return np.divide(total, count, out=np.full_like(total, math.nan), where=count > 0)

@@ -1,4 +1,4 @@
-"""A video of a policy riding a sequence of commands, made without a display."""
+"""Video of a policy that rides a sequence of commands, rendered without a display."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ DEFAULT_RIDE: tuple[Command, ...] = (
     (12.0, 2.0, -0.5),
     (17.0, 0.0, 0.0),
 )
-"""From which second on, which c_v (m/s) and c_ω (rad/s)."""
+"""Start (s), c_v (m/s) and c_ω (rad/s) of each command."""
 _SUFFIXES = {".mp4": "h264", ".gif": "gif"}
 
 
 @dataclass(frozen=True)
 class Ride:
-    """What a recorded ride came to: control steps, pictures written, falls of the robot that is shown."""
+    """Summary of a recorded ride: control steps, frames written, falls of the robot that is shown."""
 
     steps: int
     frames: int
@@ -42,7 +42,7 @@ class Ride:
 
 
 def command_at(commands: Sequence[Command], time: float) -> tuple[float, float]:
-    """The command in force at ``time``: the last one that has begun, or the first.
+    """Return the command in force at ``time``: the last one that has begun, or the first.
 
     Example:
         >>> command_at([(0.0, 1.0, 0.0), (2.0, 1.0, 0.5)], 2.5)
@@ -62,10 +62,10 @@ def record_video(
     camera: str = CHASE,
     size: tuple[int, int] = (640, 480),
 ) -> Ride:
-    """Rides ``commands`` with the policy's deterministic action and writes a video of the env's first robot.
+    """Ride ``commands`` with the policy's deterministic action and write a video of the env's first robot.
 
-    Command, speed and yaw rate are drawn into the picture. A robot that falls starts anew, which is counted.
-    The file appears when it is complete. Needs the extra ``video``.
+    Command, speed and yaw rate are drawn into the picture. A robot that falls is reset, which is counted.
+    The file is written atomically. Needs the extra ``video``.
 
     Args:
         policy: writes the action.
@@ -73,18 +73,18 @@ def record_video(
         path: ``.mp4`` or ``.gif``.
         commands: (second, c_v in m/s, c_ω in rad/s), in the order of time; None for :data:`DEFAULT_RIDE`, cut to what
             the env's grid draws.
-        seconds: length.
-        fps: pictures per second; the nearest whole number of control steps between pictures is taken.
+        seconds: length of the video.
+        fps: frames per second; rounded to a whole number of control steps between frames.
         camera: ``"chase"`` or the name of a camera of the model.
         size: width and height, pixels.
 
     Returns:
-        Steps, pictures and falls.
+        Steps, frames and falls.
 
     Raises:
-        InputError: for an unknown suffix or camera, no commands, or commands out of the curriculum's grid.
+        InputError: for an unknown suffix or camera, no commands, or commands outside the curriculum's grid.
         ImportError: if mediapy or imageio-ffmpeg is missing.
-        DisplayError: if nothing here can render; says what to install.
+        DisplayError: if this machine cannot render; names what to install.
 
     Example:
         >>> record_video(networks.deployed_policy(), env, "ride.mp4")  # doctest: +SKIP
@@ -116,7 +116,7 @@ def record_video(
 def ride(
     policy: TensorDictModuleBase, env: EnvBase, commands: Sequence[Command], steps: int
 ) -> Iterator[tuple[tuple[float, float], bool]]:
-    """Steps ``env``, pinned to ``commands``; yields each step's command and whether robot 0 fell in it.
+    """Step ``env``, pinned to ``commands``; yield each step's command and whether robot 0 fell in it.
 
     A robot that falls is reset, so that the next yield shows it standing again.
     """
@@ -127,7 +127,7 @@ def ride(
             td = env.reset()
         for step in range(steps):
             upcoming = command_at(commands, (step + 1) * CONTROL_DT)
-            owner.pin(upcoming)  # shows in the observation after this step
+            owner.pin(upcoming)  # observed after this step
             with deterministic(policy):
                 stepped, td = env.step_and_maybe_reset(policy(td))
             yield command, bool(stepped["next", "terminated"].reshape(-1)[0])
@@ -137,7 +137,7 @@ def ride(
 
 
 def within(limits: tuple[ArrayLike, ArrayLike], commands: Sequence[Command]) -> list[Command]:
-    """Return the commands cut to the lowest and the highest one, (2,) each."""
+    """Return the commands clipped to the lowest and the highest one, (2,) each."""
     pairs = [(begin, np.clip(command, *limits).tolist()) for begin, *command in commands]
     return [(begin, speed, yaw_rate) for begin, (speed, yaw_rate) in pairs]
 
@@ -154,10 +154,10 @@ def _caption(time: float, command: tuple[float, float], speeds: Sequence[float],
 
 
 def check_suffix(path: str | Path) -> None:
-    """Refuses a video of an unknown kind before anything is simulated.
+    """Refuse an unknown video format before anything is simulated.
 
     Raises:
-        InputError: names the known ones.
+        InputError: for an unknown suffix; names the known ones.
     """
     if Path(path).suffix.lower() not in _SUFFIXES:
         raise InputError(f"cannot write {Path(path).name!r}; choose a name that ends in {' or '.join(_SUFFIXES)}")
@@ -165,12 +165,12 @@ def check_suffix(path: str | Path) -> None:
 
 @contextmanager
 def video_writer(file: Path, suffix: str, fps: float, size: tuple[int, int] = (640, 480)) -> Iterator[Any]:
-    """Yield something with ``add_image(picture)``; an error or a signal ends its ffmpeg without waiting for it.
+    """Yield a writer with ``add_image(picture)``; an error or a signal kills its ffmpeg process.
 
     Args:
-        file: what it writes.
+        file: to write.
         suffix: ``.mp4`` or ``.gif``.
-        fps: pictures per second.
+        fps: frames per second.
         size: width and height, pixels.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Rides in MuJoCo's viewer, in real time, steered from the keyboard or by a fixed sequence of commands."""
+"""Real-time rides in MuJoCo's viewer, commanded from the keyboard or by a fixed sequence of commands."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _FOREVER = 10**9
 
 
 class Keyboard:
-    """A command that the arrow keys change: up and down the speed, left and right the yaw rate, space stops.
+    """Command set by the arrow keys: up and down change the speed, left and right the yaw rate, space stops.
 
-    It is a sequence of one command, always the present one, so that it goes wherever a fixed sequence does.
+    It is a sequence of one command, the current one, and can replace a fixed sequence.
 
     Args:
         limits: largest |c_v| (m/s) and |c_ω| (rad/s).
@@ -45,7 +45,7 @@ class Keyboard:
         self.command = np.zeros(2)
 
     def __call__(self, key: int) -> None:
-        """Takes a key press."""
+        """Handle a key press."""
         moves = {self.UP: (1, 0), self.DOWN: (-1, 0), self.LEFT: (0, 1), self.RIGHT: (0, -1)}
         if key == self.SPACE:
             self.command = np.zeros(2)
@@ -67,13 +67,13 @@ def play_viewer(
     commands: Sequence[Command] | None = None,
     seconds: float | None = None,
 ) -> None:
-    """Shows the env's first robot riding, until the window is closed.
+    """Show the env's first robot riding, until the window is closed.
 
     Args:
         policy: writes the action; its deterministic action is taken.
         env: of :func:`~torchrl_atr.envs.make_riding_env`.
-        commands: (second, c_v in m/s, c_ω in rad/s); by default the arrow keys and space give them.
-        seconds: stop after so many.
+        commands: (second, c_v in m/s, c_ω in rad/s); by default the arrow keys and space set them.
+        seconds: duration; None for no limit.
 
     Raises:
         DisplayError: if there is no display; suggests a video.
