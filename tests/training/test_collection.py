@@ -81,7 +81,7 @@ def test_what_the_learner_adds_to_a_batch_is_not_in_the_next_one():
 
 
 def test_robots_must_divide_among_the_workers():
-    with pytest.raises(ConfigError, match="num_envs=7 cannot be shared evenly by compute.workers=2"):
+    with pytest.raises(ConfigError, match=r"num_envs=7 cannot be shared evenly by compute.workers=2"):
         make_config({**TINY, "env.num_envs": 7, "compute.collector": "process"})
     with pytest.raises(ConfigError, match="collector='ssh' is unknown; choose one of direct, process, ray"):
         make_config({"compute.collector": "ssh"})
