@@ -90,7 +90,7 @@ def test_it_trains_compares_and_does_not_train_again(tmp_path, monkeypatch):
     assert every_pair.main(arguments) == 0
     record = json.loads((tmp_path / "spot-two_board" / "comparison.json").read_text())
     assert record["run"]["frames"] == 32
-    assert record["policy_reads"] == ["history", "observation", "dead_reckoned_velocity"]
+    assert set(record["policy_reads"]) == {"history", "observation", "dead_reckoned_velocity"}
     monkeypatch.setattr(every_pair, "train", lambda *_: pytest.fail("it trained again"))
     assert every_pair.main(arguments) == 0
 
