@@ -81,5 +81,5 @@ def test_other_settings_and_wrong_ones_are_refused(tmp_path, capsys):
     assert time_to_skill.main([*arguments(tmp_path), "--set", "ppo.gamma=0.9"]) == 2
     assert "was trained with ppo.gamma=0.995 instead of 0.9; give another folder" in capsys.readouterr().err
     assert time_to_skill.main([*arguments(tmp_path / "other"), "--set", "ppo.gama=0.9"]) == 2
-    assert "did you mean 'gamma'?" in capsys.readouterr().err
+    assert "did you mean 'ppo.gamma'" in capsys.readouterr().err
     assert not (tmp_path / "other").exists()
