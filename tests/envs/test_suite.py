@@ -100,7 +100,7 @@ def test_it_is_the_task_that_the_env_asks(task):
         td = env.fake_tensordict().set("action", torch.from_numpy(action)[None])
         ours = env.step(td.set("command", torch.tensor([[0.7, -0.2]])))["next"]
         for name, value in theirs.observation.items():
-            key = tuple(name.split("_")) if name.startswith("privileged") else name
+            key = tuple(name.split("_", 1)) if name.startswith("privileged") else name
             np.testing.assert_allclose(value, ours[key][0], atol=1e-5, err_msg=name)
         assert theirs.reward == pytest.approx(ours["reward"].item(), abs=1e-5)
         for name, value in environment.task.reward_terms.items():
