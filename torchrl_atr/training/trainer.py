@@ -79,6 +79,7 @@ class Trainer:
         >>> from functools import partial
         >>> from tempfile import TemporaryDirectory
         >>> from torchrl_atr.envs import make_riding_env
+        >>> from torchrl_atr.training import make_config
         >>> config = make_config({"env.num_envs": 4, "ppo.rollout_steps": 4, "ppo.minibatches": 1, "total_frames": 16})
         >>> with TemporaryDirectory() as run:
         ...     trainer = Trainer(config, run, make_env=partial(make_riding_env, "go1", "two_board"))
