@@ -39,7 +39,12 @@ import pytest
         ("recipe.toml", "imports = [3]", "imports=[3]", "a list such as my_module"),
         ("recipe.json", '{"task": {"robot": null}}', "robot=None", "a text such as a1"),
         ("recipe.toml", 'task.robot = "mine.toml"', "no robot file mine.toml", "check its path"),
-        ("recipe.toml", "curriculum.command_seconds = 9", "command_seconds=9", "must not exceed env.episode_seconds=5"),
+        (
+            "recipe.toml",
+            "curriculum.command_seconds = 21",
+            "command_seconds=21",
+            "must not exceed env.episode_seconds=20",
+        ),
         (
             "recipe.toml",
             "curriculum.score_from_seconds = 4.99",
