@@ -41,15 +41,15 @@ EVALUATIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 """Protocol and options of ``torchrl-atr evaluate``, by the folder of the report."""
 
 
-def evaluate(run: Path, seed: int) -> dict[str, dict[str, Any]]:
-    """Run the missing evaluations, and return the metrics of every row.
+def evaluate(run: Path, seed: int, rows: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Run the missing evaluations of ``rows``, and return the metrics of each.
 
     Raises:
         UserError: if an evaluation failed.
     """
     metrics = {}
-    for name, (_, options) in EVALUATIONS.items():
-        folder = run / name
+    for name in rows:
+        folder, options = run / name, EVALUATIONS[name][1]
         if not (folder / "metrics.json").is_file():
             say(f"{name}: torchrl-atr evaluate {run} {' '.join(options)}")
             if cli.main(["evaluate", str(run), "--seed", str(seed), "--output", str(folder), *options]):
@@ -100,7 +100,7 @@ def page(report: Mapping[str, Any]) -> str:
 
 
 def _measure(arguments: argparse.Namespace) -> None:
-    metrics = evaluate(arguments.run, arguments.seed)
+    metrics = evaluate(arguments.run, arguments.seed, [name for name in EVALUATIONS if name in arguments.rows])
     origin = metrics["tracking"]
     report = {
         "command": f"python -m benchmarks.scorecard {arguments.run} --seed {arguments.seed}",
@@ -128,6 +128,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.scorecard", description=__doc__)
     parser.add_argument("run", type=Path, metavar="RUN", help="folder of a trained run")
     parser.add_argument("--seed", type=int, default=90210)
+    parser.add_argument("--rows", nargs="+", choices=tuple(EVALUATIONS), default=tuple(EVALUATIONS), metavar="ROW")
     arguments = parser.parse_args(argv)
     return results.exit_code("scorecard", partial(_measure, arguments))
 

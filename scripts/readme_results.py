@@ -30,7 +30,7 @@ def section() -> str:
         "",
         "| protocol | robots | up at the end | speed error, m/s | yaw error, rad/s | commands mastered |",
         "| --- | --- | --- | --- | --- | --- |",
-        *(row(name, card["evaluations"][name]) for name in ROWS),
+        *(row(name, card["evaluations"][name]) for name in ROWS if name in card["evaluations"]),
         row("tracking", short).replace("| 10 s", "| after five minutes of training: 10 s", 1),
         "",
         f"{_origin(card['run'])} [{LONG}]({LONG}) holds the policy and all of its figures, the test range included. "
