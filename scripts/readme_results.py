@@ -34,8 +34,8 @@ def section() -> str:
         row("tracking", short).replace("| 10 s", "| after five minutes of training: 10 s", 1),
         "",
         f"{_origin(card['run'])} [{LONG}]({LONG}) holds the policy and all of its figures, the test range included. "
-        f"Five minutes: {_origin(short['run'])} They buy a robot that stays up and begins to "
-        "follow; the rest takes an hour or two.",
+        f"Five minutes: {_origin(short['run'])} They buy a robot that mostly stays up and "
+        "follows speeds loosely; turning takes an hour or two.",
     ]
     return "\n".join(lines)
 
