@@ -80,6 +80,7 @@ class SensorErrors:
                     name: torch.tensor([getattr(t, name) for t in group.values()]).float().repeat_interleave(counts)
                     for name in ("noise", "bias", "bias_time", "delay")
                 }
+                self._scales[key] |= _wandering(self._scales[key])
                 for name, size in (("bias", total), ("delay", 1), ("before", total)):
                     self.state[_name(key, name)] = torch.zeros(num_envs, size, dtype=torch.float32)
 
@@ -124,12 +125,10 @@ class SensorErrors:
                 self.state[name] = self.state[name].index_copy(0, rows, exact[key])
 
     def _wander(self, bias: Tensor, scale: Mapping[str, Tensor]) -> Tensor:
-        wandering = torch.isfinite(scale["bias_time"]) & (scale["bias"] > 0)
-        columns = wandering.nonzero().squeeze(-1)
+        columns = scale["wandering"]
         if not len(columns):
             return bias
-        keep = torch.exp(-CONTROL_DT / scale["bias_time"][columns])
-        fresh = torch.sqrt(1.0 - keep.square()) * scale["bias"][columns] * self._normal(len(bias), len(columns))
+        keep, fresh = scale["keep"], scale["fresh"] * self._normal(len(bias), len(columns))
         return bias.index_copy(1, columns, keep * bias[:, columns] + fresh)
 
     def _noise(self, scale: Mapping[str, Tensor], n: int) -> Tensor:
@@ -150,6 +149,13 @@ def columns_of(sizes: Mapping[str, int]) -> dict[str, slice]:
     for name, size in sizes.items():
         columns[name], end = slice(end, end + size), end + size
     return columns
+
+
+def _wandering(scale: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Return the columns whose bias wanders, its decay in a control step, and the standard deviation of what is new."""
+    columns = (torch.isfinite(scale["bias_time"]) & (scale["bias"] > 0)).nonzero().squeeze(-1)
+    keep = torch.exp(-CONTROL_DT / scale["bias_time"][columns])
+    return {"wandering": columns, "keep": keep, "fresh": torch.sqrt(1.0 - keep.square()) * scale["bias"][columns]}
 
 
 def _name(key: NestedKey, name: str) -> str:
