@@ -16,7 +16,7 @@ from torchrl_atr.envs.models import RobotSpec, TransporterSpec
 from torchrl_atr.envs.physics import PhysicsEngine
 from torchrl_atr.envs.tasks import RewardError, Task, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
-from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, task_transforms
+from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, LimitGrowth, task_transforms
 
 
 class CurriculumEnv(TransformedEnv):
@@ -42,6 +42,7 @@ def make_env(
     history_length: int = 10,
     max_steps: int = 1000,
     stagger: int = 0,
+    limit_growth: LimitGrowth | None = None,
     window: int = 250,
     grid: CommandGrid | None = None,
     overspeed_margin: tuple[float, float] | None = None,
@@ -66,6 +67,8 @@ def make_env(
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
         stagger: if positive, the robots' first episodes end at different times, and the limit is checked every
             ``stagger`` steps (for training): see :class:`~torchrl_atr.envs.transforms.RandomizedStepCounter`.
+        limit_growth: lower time limit at first (for training, with ``stagger``): a
+            :class:`~torchrl_atr.envs.transforms.LimitGrowth`.
         window: control steps that a command lasts (5 s at 50 Hz).
         grid: the curriculum's cells and update rule; None for the task's.
         overspeed_margin: end episodes of robots faster than any command by this much, in the units of the command (for
@@ -103,6 +106,7 @@ def make_env(
         include_current=task.readings.current_in_history,
         max_steps=max_steps,
         stagger=stagger,
+        limit_growth=limit_growth,
         window=window,
         grid=grid,
         overspeed_margin=overspeed_margin,

@@ -20,7 +20,7 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS
-from torchrl_atr.envs.transforms import CommandGrid
+from torchrl_atr.envs.transforms import CommandGrid, LimitGrowth
 from torchrl_atr.modules import Exploration, NetworkKeys, RidingNetworks, correlate, hadamard_leg_basis, make_networks
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.sizes import estimator_sizes
@@ -31,9 +31,9 @@ from torchrl_atr.training.settings import ExplorationConfig
 
 TOGETHER = 10
 """Interval in control steps at which time limits are checked, a divisor of the default recipe's 1000."""
-LOADED: dict[str, Any] = {"compiled": False, "stagger": 0, "compact_storage": False}
+LOADED: dict[str, Any] = {"compiled": False, "stagger": 0, "limit_growth": None, "compact_storage": False}
 """Env arguments of a run that is loaded, not trained: there may be no compiler."""
-TASK_ONLY: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "pushes": False}
+TASK_ONLY: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "drifted_start": 0.0, "pushes": False}
 """Task arguments that turn off what belongs to training only."""
 DEPLOYED: dict[str, Any] = {
     **LOADED,
@@ -74,6 +74,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "history_length": config.env.history_length,
         "max_steps": round(config.env.episode_seconds / CONTROL_DT),
         "stagger": TOGETHER if config.env.staggered_starts else 0,
+        "limit_growth": _limit_growth(config),
         "window": round(config.curriculum.command_seconds / CONTROL_DT),
         "thresholds": (config.curriculum.tracking_threshold,) * 2,
         "score_from": round(config.curriculum.score_from_seconds / CONTROL_DT),
@@ -86,6 +87,14 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
     if arguments["grid"] is None:
         arguments["grid"] = _widened(made.command.grid, trained)
     return envs.make_env(made, **arguments)
+
+
+def _limit_growth(config: TrainConfig) -> LimitGrowth | None:
+    first, steps = config.env.first_episode_seconds, config.total_frames / config.env.num_envs
+    if not 0 < first < config.env.episode_seconds or not config.env.staggered_starts:
+        return None
+    begin, end = round(config.env.episodes_grow_from * steps), round(config.env.episodes_grow_until * steps)
+    return LimitGrowth(max(1, round(first / CONTROL_DT)), begin, end)
 
 
 def _widened(grid: CommandGrid | None, other: CommandGrid | None) -> CommandGrid | None:

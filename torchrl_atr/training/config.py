@@ -207,6 +207,7 @@ _ORDER = (
     ("curriculum.score_from_seconds", "curriculum.command_seconds", CONTROL_DT, "nothing would be left to score"),
     ("ppo.learning_rate", "ppo.max_learning_rate", 0.0, "the rate is adapted up to that"),
     ("exploration.anneal_from", "exploration.anneal_until", 1e-9, "both are shares of the run"),
+    ("env.episodes_grow_from", "env.episodes_grow_until", 0, "both are shares of the run"),
     *(
         ("exploration.min_std", f"exploration.{name}_std", 1e-9, "it is the floor")
         for name in ("init", "relative", "final")

@@ -24,9 +24,12 @@ for _name in ("default", "paper", "literal", "legged_gym"):
 
 TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
     "walking": {
+        "env.episode_seconds": 20.0,
+        "env.first_episode_seconds": 0.0,
         "task.sensors": "ideal",
         "task.moving_start": 0.0,
         "task.displaced_start": 0.0,
+        "task.drifted_start": 0.0,
         "curriculum.max_speed": 0.0,
         "curriculum.max_yaw_rate": 0.0,
         "curriculum.initial_speed": 0.0,

@@ -1,8 +1,8 @@
-"""Time limit with randomised first episodes, so that robots which never fall do not all reset at once."""
+"""Time limit that grows during training, with randomised first episodes, so that robots do not all reset at once."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
@@ -12,6 +12,32 @@ from torchrl_atr._checks import check_whole
 from torchrl_atr.envs.transforms.seeding import OwnGenerator, make_generator
 
 _NEVER = torch.iinfo(torch.int64).max
+
+
+class LimitGrowth(NamedTuple):
+    """Growth of a time limit over the steps of an env since its first reset, geometric from ``begin`` to ``end``.
+
+    Attributes:
+        first: limit until ``begin``, in steps.
+        begin: step of the env from which the limit grows.
+        end: step from which it is the final one.
+
+    Example:
+        >>> growth = LimitGrowth(first=100, begin=1000, end=2000)
+        >>> [growth.limit(step, 400) for step in (0, 1500, 2000)]
+        [100, 200, 400]
+    """
+
+    first: int
+    begin: int
+    end: int
+
+    def limit(self, step: int, final: int) -> int:
+        """Return the limit at a step of the env; ``final`` is the one in the end."""
+        if step >= self.end:
+            return final
+        share = max(0.0, (step - self.begin) / (self.end - self.begin)) if self.end > self.begin else 0.0
+        return round(self.first * (final / self.first) ** share)
 
 
 class RandomizedStepCounter(OwnGenerator, StepCounter):
@@ -30,6 +56,7 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
         seed (int, optional): Of the counts; ``env.set_seed`` of a :class:`~torchrl_atr.envs.RidingEnv` sets it, too.
         every (int): The limit is checked every so many steps, counted from the env's first reset. If ``max_steps`` is a
             multiple of it, only first episodes and those that began after a fall last longer. Defaults to 1.
+        growth (LimitGrowth, optional): A lower limit at first, for training that begins with short episodes.
 
     Raises:
         ValueError: ``every`` is not positive.
@@ -44,12 +71,14 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
 
     max_steps: int
 
-    def __init__(self, max_steps: int, seed: int | None = None, every: int = 1) -> None:
+    def __init__(
+        self, max_steps: int, seed: int | None = None, every: int = 1, growth: LimitGrowth | None = None
+    ) -> None:
         super().__init__(check_whole("max_steps", max_steps, low=1))
         every = check_whole("every", every, None)
         if every < 1:
             raise ValueError(f"every must be at least 1, got {every}")
-        self.every = every
+        self.every, self.growth = every, growth
         self._generator = make_generator(seed)
         self._steps = 0
 
@@ -59,19 +88,23 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
             if tensordict.get(reset_key, None) is None:
                 self._steps = 0
                 count = tensordict_reset.get(count_key)
-                drawn = torch.randint(self.max_steps, count.shape, generator=self._source())  # on the CPU, always
+                drawn = torch.randint(self.limit, count.shape, generator=self._source())  # on the CPU, always
                 tensordict_reset.set(count_key, drawn.to(count))
         return tensordict_reset
 
+    @property
+    def limit(self) -> int:
+        """Time limit now, in steps."""
+        return self.max_steps if self.growth is None else self.growth.limit(self._steps, self.max_steps)
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._steps += 1
-        limit = self.max_steps
-        if self._steps % self.every:
-            self.max_steps = _NEVER
+        final, now = self.max_steps, self.limit
+        self.max_steps = _NEVER if self._steps % self.every else now
         try:
             return super()._step(tensordict, next_tensordict)
         finally:
-            self.max_steps = limit
+            self.max_steps = final
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return the env's steps since its last full reset, and the generator's state."""

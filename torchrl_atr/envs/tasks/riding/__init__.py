@@ -51,6 +51,7 @@ def riding(
     gains: Gains | None = None,
     moving_start: float = 0.0,
     displaced_start: float = 0.0,
+    drifted_start: float = 0.0,
     rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     steering_weight_peak: float = 1.0,
     steering_weight_end: float = 1.0,
@@ -71,6 +72,8 @@ def riding(
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
             pushes (for training).
+        drifted_start: share of the episodes whose dead-reckoned velocity starts with an error of up to metres a second,
+            as after minutes without a turn (for training).
         rewards: the terms of the reward by name.
         steering_weight_peak: factor of r1 in the learner's reward, at its peak: it rises from 1 until
             ``steering_weight_peak_at``. The reward of a turn comes later and with more noise than that of a speed: once
@@ -80,7 +83,7 @@ def riding(
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
-        ValueError: for an impossible ``moving_start`` or steering weight.
+        ValueError: for an impossible share of starts or steering weight.
 
     Example:
         >>> task = riding("go1", "two_board")
@@ -90,7 +93,8 @@ def riding(
     pushed = Pushes.of(pushes)
     moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
     displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
-    dead_reckoned, velocity = dead_reckoning(velocity_filter)
+    drifted_start = check_number("drifted_start", drifted_start, 0.0, 1.0)
+    dead_reckoned, velocity = dead_reckoning(velocity_filter, drifted=drifted_start)
     readings = get_interpretation(profile)
     rider = with_gains(get_robot(robot), gains)
     spec = get_transporter(transporter, rider)
