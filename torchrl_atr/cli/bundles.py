@@ -17,8 +17,10 @@ def export(arguments: argparse.Namespace) -> None:
     from torchrl_atr.deploy.export import export_run
     from torchrl_atr.training.checkpoint import BEST
 
-    parity = export_run(arguments.run, arguments.output, arguments.imports or (), BEST if arguments.checkpoint == "best" else None)
-    say(f"{_compared(parity)}\nwrote {arguments.output}; check it anywhere with: torchrl-atr verify {arguments.output}")
+    checkpoint = BEST if arguments.checkpoint == "best" else None
+    parity = export_run(arguments.run, arguments.output, arguments.imports or (), checkpoint)
+    output = shlex.quote(str(arguments.output))
+    say(f"{_compared(parity)}\nwrote {output}; check it anywhere with: torchrl-atr verify {output}")
 
 
 def verify(arguments: argparse.Namespace) -> None:

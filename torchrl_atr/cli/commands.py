@@ -173,7 +173,9 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     home = arguments.run
     if is_bundle(home):  # its files are those of its manifest
         if arguments.command_range == "record":
-            raise ConfigError(f"--command-range record: {home} is a policy bundle; record it in the run, and export that")
+            raise ConfigError(
+                f"--command-range record: {home} is a policy bundle; record it in the run, and export that"
+            )
         home = Path("runs") / home.resolve().name
     own = home if arguments.protocol == "tracking" else home / arguments.protocol
     output = arguments.output or own

@@ -26,7 +26,8 @@ _PATHS = {
     "config": "File with any settings, .toml or .json, such as a run's config.toml.",
     "output": f"The run folder (default: {DEFAULT_RUN}).",
     "resume": "Continue this run as if it had not stopped.",
-    "start": "Begin a new run with this run's or policy's networks, optimisers, command grid and settings, but for those given.",
+    "start": "Begin a new run with this one's (or a policy's) networks, optimisers, command grid and settings, but "
+    "for those given.",
 }
 _DESCRIPTION = """Train a policy. Of a setting's sources the later wins: its default, the preset's, the task's, the
 file's (--config) or the other run's (--from, then --config), the command line's. A reward weight is

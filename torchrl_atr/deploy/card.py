@@ -45,8 +45,8 @@ def card(run: Path, manifest: Mapping[str, Any]) -> str:
     lines = [
         f"# {manifest['name']}: {robot} on {transporter}",
         "",
-        f"A policy that rides: it follows {' and '.join(command['names'])} commands ({', '.join(command['units'])}) from "
-        f"IMU and joint encoders, at {manifest['control']['rate_hz']:g} Hz. Written by `torchrl-atr export`; "
+        f"A policy that rides: it follows {' and '.join(command['names'])} commands ({', '.join(command['units'])}) "
+        f"from IMU and joint encoders, at {manifest['control']['rate_hz']:g} Hz. Written by `torchrl-atr export`; "
         "`manifest.json` says all that a deployment needs, and `torchrl-atr verify` checks the folder.",
         "",
         "```python",
@@ -60,15 +60,16 @@ def card(run: Path, manifest: Mapping[str, Any]) -> str:
         + (", ".join(f"{name} ±{bound:g}" for name, bound in trained.items()) or "no grid")
         + ".",
         f"- Sensors it was trained with: {_sensors(manifest)}.",
-        f"- ONNX Runtime acts as torch within {parity['error']:.1e} of the action scale, over {parity['steps']} steps of "
-        f"{parity['robots']} robots with {parity['resets']} resets.",
+        f"- ONNX Runtime acts as torch within {parity['error']:.1e} of the action scale, over {parity['steps']} steps "
+        f"of {parity['robots']} robots with {parity['resets']} resets.",
         f"- {_origin(manifest['training'])}",
-        "- Limits: trained and measured in simulation alone. It starts from a stand at rest in q0; it estimates its speed "
-        "by dead reckoning, which drifts.",
+        "- Limits: trained and measured in simulation alone. It starts from a stand at rest in q0; it estimates its "
+        "speed by dead reckoning, which drifts.",
         "",
     ]
     if (run / _SCORECARD).is_file() and page.is_file():
-        lines += ["## Measured", "", *page.read_text(encoding="utf-8").strip().splitlines()[2:], ""]
+        measured = page.read_text(encoding="utf-8").strip().splitlines()[2:]
+        lines += ["## Measured", "", *(line for line in measured if not line.startswith("Trained by ")), ""]
     else:
         lines += ["## Measured", "", "Nothing yet: the run had no scorecard when it was exported.", ""]
     return "\n".join(lines)

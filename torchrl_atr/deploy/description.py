@@ -76,7 +76,7 @@ def describe_policy(
         "control": {
             "rate_hz": round(1.0 / CONTROL_DT, 6),
             "simulation_steps": DECIMATION,
-            "law": "torque = kp (target - q) - kd q̇ at a kHz or more, target = q0 + action scale · action within limits",
+            "law": "torque = kp (target - q) - kd q̇, at a kHz or more; target = q0 + action scale · action, in limits",
         },
         "imu": {"gravity_included": gravity},
         "sensors": [
@@ -126,7 +126,10 @@ def describe_policy(
             for name, size in sizes["privileged", "extrinsic"].items()
         ],
         "training": dict(provenance),
-        "versions": {**machine()["versions"], **{name: version(name) for name in ("onnx", "onnxscript", "onnxruntime")}},
+        "versions": {
+            **machine()["versions"],
+            **{name: version(name) for name in ("onnx", "onnxscript", "onnxruntime")},
+        },
     }
 
 

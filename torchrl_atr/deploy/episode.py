@@ -19,12 +19,13 @@ RESETS = {70: 0, 180: 1, 181: 1}
 
 
 @torch.no_grad()
-def record(loaded: LoadedPolicy, seed: int = 0) -> dict[str, np.ndarray]:
+def record(loaded: LoadedPolicy, seed: int = 0, steps: int = STEPS) -> dict[str, np.ndarray]:
     """Ride with pushes and sensor errors; record readings, commands, starts of episodes and actions.
 
     Args:
         loaded: policy, and factory of its envs.
         seed: of the env.
+        steps: T.
 
     Returns:
         Arrays (T, N, size) by name of the policy's input, ``start`` (T, N) and ``action``.
@@ -37,7 +38,7 @@ def record(loaded: LoadedPolicy, seed: int = 0) -> dict[str, np.ndarray]:
     with deterministic(policy):
         env.curriculum.pin(COMMANDS[0])
         td = env.reset()
-        for step in range(STEPS):
+        for step in range(steps):
             if step % COMMAND_STEPS == COMMAND_STEPS - 1:  # observed after this step
                 env.curriculum.pin(COMMANDS[(step // COMMAND_STEPS + 1) % len(COMMANDS)])
             td = policy(td)

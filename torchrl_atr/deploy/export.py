@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
+import re
 import shutil
 import warnings
 from collections.abc import Sequence
@@ -37,7 +38,9 @@ _BATCH = 2
 """Robots of the example that is traced; of one, the batch would be taken as fixed."""
 
 
-def export_run(run: str | Path, output: str | Path, imports: Sequence[str] = (), checkpoint: str | None = None) -> Parity:
+def export_run(
+    run: str | Path, output: str | Path, imports: Sequence[str] = (), checkpoint: str | None = None
+) -> Parity:
     """Write the deployed policy of a run as a bundle, whole or not at all.
 
     Args:
@@ -77,8 +80,7 @@ def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoin
     with closing(env):
         base = env.base_env
         grid, recorded = config.grid, networks.command_range
-        if recorded is None and grid is None:
-            raise UserError(f"{run} has no range of commands; record one with `torchrl-atr evaluate --command-range record`")
+        assert grid is not None  # of riding; other tasks are refused in the next line but one
         limits = recorded or CommandRange(*grid.bounds)
         step = PolicyStep(networks, base.task, base.scene, config.task.velocity_filter, limits).eval()
         manifest = describe_policy(config, base, limits, recorded is not None, state["provenance"])
@@ -89,7 +91,8 @@ def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoin
     if (run / MODEL).is_dir():
         shutil.copytree(run / MODEL, folder / MODEL)
     _seal(folder, manifest)  # the policy is loaded from the bundle itself: its weights are compared, too
-    np.savez_compressed(folder / EPISODE, **record(load_policy(folder, imports)))
+    episode: dict[str, Any] = record(load_policy(folder, imports))
+    np.savez_compressed(folder / EPISODE, **episode)
     _seal(folder, manifest)
     parity = verify(folder)
     manifest["parity"] = parity._asdict()
@@ -97,7 +100,9 @@ def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoin
     _seal(folder, manifest)
     size = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
     if size > LARGEST:
-        raise UserError(f"the bundle of {run} has {size / 1e6:.2f} MB, more than {LARGEST / 1e6:g}; train smaller networks")
+        raise UserError(
+            f"the bundle of {run} has {size / 1e6:.2f} MB, more than {LARGEST / 1e6:g}; train smaller networks"
+        )
     return parity
 
 
@@ -167,4 +172,5 @@ def _example(step: PolicyStep, env: Any) -> dict[str, torch.Tensor]:
 def _write_scene(base: Any, folder: Path) -> None:
     xml = scene_xml(base.scene.robot, base.scene.support)
     if " file=" not in xml:  # of a mesh, which the bundle does not hold
+        xml = re.sub(r' (meshdir|texturedir)="[^"]*"', "", xml)  # folders of this machine
         (folder / SCENE).write_text(xml, encoding="utf-8")

@@ -42,7 +42,7 @@ def load_policy(policy: str | Path, imports: Sequence[str] = ()) -> LoadedPolicy
     Example:
         >>> from torchrl_atr.training import Trainer, make_config
         >>> import tempfile
-        >>> tiny = {"num_envs": 2, "total_frames": 8, "ppo.rollout_steps": 2, "ppo.minibatches": 1}
+        >>> tiny = {"env.num_envs": 2, "total_frames": 8, "ppo.rollout_steps": 2, "ppo.minibatches": 1}
         >>> run = tempfile.mkdtemp()
         >>> Trainer(make_config(tiny), run).save()
         >>> policy, make_env = load_policy(run)
@@ -51,4 +51,5 @@ def load_policy(policy: str | Path, imports: Sequence[str] = ()) -> LoadedPolicy
     """
     config, env, networks, _ = load_run(policy, imports=imports, num_envs=1)
     env.close()
-    return LoadedPolicy(networks.deployed_policy(), partial(make_env, config, **DEPLOYED))
+    policy = networks.deployed_policy().eval().requires_grad_(False)
+    return LoadedPolicy(policy, partial(make_env, config, **DEPLOYED))

@@ -114,7 +114,9 @@ def read_manifest(folder: str | Path) -> dict[str, Any]:
 def _check_version(manifest: Any, path: Path) -> None:
     schema, version = (manifest.get(name) if isinstance(manifest, dict) else None for name in ("schema", "version"))
     if schema != SCHEMA:
-        raise BundleError(f"{path} has schema {schema!r}, not {SCHEMA!r}; give a folder that `torchrl-atr export` wrote")
+        raise BundleError(
+            f"{path} has schema {schema!r}, not {SCHEMA!r}; give a folder that `torchrl-atr export` wrote"
+        )
     if version != VERSION:
         writer = manifest.get("versions", {}).get("torchrl_atr", "unknown")
         raise BundleError(

@@ -63,4 +63,4 @@ def compare(folder: Path, manifest: dict[str, Any], episode: dict[str, np.ndarra
         policy(start[t], {name: value[t] for name, value in episode.items()})["action"] for t in range(len(start))
     ]
     error = float(np.abs(np.stack(replayed) - action).max())
-    return Parity(error, *start.shape, resets=int(start[1:].sum()))
+    return Parity(error, len(start), start.shape[1], int(start[1:].sum()))

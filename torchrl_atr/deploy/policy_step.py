@@ -123,11 +123,15 @@ class PolicyStep(nn.Module):
 
         Args:
             start: whether an episode begins, (N, 1) bool.
-            acceleration, angular_velocity: of the IMU, m/s² and rad/s, (N, 3).
+            acceleration: of the IMU, m/s², (N, 3).
+            angular_velocity: of the IMU, rad/s, (N, 3).
             orientation: roll and pitch, rad, (N, 2).
-            joint_position, joint_velocity: rad and rad/s, (N, 12).
+            joint_position: rad, (N, 12).
+            joint_velocity: rad/s, (N, 12).
             command: forward speed and yaw rate, m/s and rad/s, (N, 2).
-            history, dead_reckoning, last_action: state, see :data:`STATE`; (N, H, D), (N, size), (N, 12).
+            history: state, see :data:`STATE`, (N, H, D).
+            dead_reckoning: state, (N, size).
+            last_action: state, (N, 12).
         """
         command = command if self.limits is None else self.limits(command)
         sensors = (acceleration, angular_velocity, orientation, joint_position, joint_velocity)
@@ -147,7 +151,7 @@ class PolicyStep(nn.Module):
 
 
 def target_limits(scene: Scene) -> dict[str, list[float]]:
-    """Return the control ranges ``low`` and ``high`` of the joints in the spec's order, rad; ±2π where there is none."""
+    """Return the control ranges ``low`` and ``high`` of the joints in the spec's order, rad; ±2π for none."""
     model, chosen = scene.model, scene.layout.actuators
     limited = model.actuator_ctrllimited[chosen].astype(bool)
     low, high = model.actuator_ctrlrange[chosen].T

@@ -13,6 +13,8 @@ from torchrl_atr._errors import InputError
 
 Array = NDArray[np.float32]
 GRAVITY = 9.81
+RATE_TOLERANCE, RATE_STEPS = 0.1, 50
+"""Relative error of the mean control period that is refused, and the number of periods that it is the mean of."""
 FASTEST_JOINT, FASTEST_TURN = 60.0, 40.0
 """Speeds beyond those of any quadruped's joints, and of its IMU's range, rad/s: larger numbers are degrees."""
 FROM_STANCE = 0.6
@@ -34,6 +36,39 @@ class Imu(NamedTuple):
     acceleration: ArrayLike
     angular_velocity: ArrayLike
     orientation: ArrayLike
+
+
+class Clock:
+    """Check that control steps come at their period, on average: a late one alone is no error.
+
+    Args:
+        period: s.
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period = period
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the times before."""
+        self._times: list[float] = []
+
+    def check(self, time: float) -> None:
+        """Note the time of a step, s.
+
+        Raises:
+            InputError: if it does not follow the last one, or the mean of the last :data:`RATE_STEPS` periods is
+                another than it should be by more than :data:`RATE_TOLERANCE`.
+        """
+        if not math.isfinite(time) or (self._times and time <= self._times[-1]):
+            raise InputError(f"time={time!r} does not follow that of the last step; give seconds of a steady clock")
+        self._times = [*self._times, float(time)][-RATE_STEPS - 1 :]
+        mean = (self._times[-1] - self._times[0]) / RATE_STEPS
+        if len(self._times) > RATE_STEPS and abs(mean / self.period - 1.0) > RATE_TOLERANCE:
+            raise InputError(
+                f"the last {RATE_STEPS} steps came every {1e3 * mean:.1f} ms; call step() every "
+                f"{1e3 * self.period:.0f} ms, at {1.0 / self.period:g} Hz, with the time in seconds"
+            )
 
 
 def without_gravity(specific_force: ArrayLike, roll: float, pitch: float) -> NDArray[np.float64]:

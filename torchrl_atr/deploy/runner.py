@@ -12,10 +12,7 @@ from numpy.typing import ArrayLike
 
 from torchrl_atr._errors import InputError, MissingPackageError
 from torchrl_atr.deploy.manifest import POLICY, find_policy, read_manifest
-from torchrl_atr.deploy.readings import Array, Imu, check_imu, check_joints, check_robot, check_start, checked
-
-RATE_TOLERANCE, RATE_STEPS = 0.1, 50
-"""Relative error of the mean control rate that is refused, and the control steps that it is the mean of."""
+from torchrl_atr.deploy.readings import Array, Clock, Imu, check_imu, check_joints, check_robot, check_start, checked
 
 
 class Gains(NamedTuple):
@@ -109,12 +106,13 @@ class PolicyRunner:
         self.strict = strict
         self._policy = OnnxPolicy(bundle, self.manifest)
         self._gains = Gains(*(self._of_joints(name) for name in ("kp", "kd")))
-        self._period, self._warned = 1.0 / self.manifest["control"]["rate_hz"], False
+        self._clock, self._warned = Clock(1.0 / self.manifest["control"]["rate_hz"]), False
         self.reset()
 
     def reset(self) -> None:
         """Begin an episode with the next step."""
-        self._start, self._times = True, [0.0][:0]
+        self._start = True
+        self._clock.reset()
         self.command: Array = np.zeros(len(self.manifest["command"]["names"]), np.float32)
         self.estimates: dict[str, Array] = {}
 
@@ -140,19 +138,16 @@ class PolicyRunner:
                 manifest's, or, if ``strict``, a command beyond the range. The state is then as before the step.
         """
         readings = self._checked(imu, joint_positions, joint_velocities, command)
-        self._check_rate(time)
-        state = self._policy.state
-        outputs = {name: value[0] for name, value in self._run(readings).items()}
+        if time is not None:
+            self._clock.check(time)
+        state, batch = self._policy.state, {name: value[None] for name, value in readings.items()}
+        outputs = {name: value[0] for name, value in self._policy(np.array([self._start]), batch).items()}
         asked, followed = readings["command"], outputs["command_in_force"]
         if not np.allclose(asked, followed, atol=1e-6):
             self._clipped(asked, followed, state)
         self._start, self.command = False, followed
         self.estimates = self._named(outputs)
         return JointCommand(outputs["joint_targets"], self._gains)
-
-    def _run(self, readings: Mapping[str, Array]) -> dict[str, Array]:
-        batch = {name: value[None] for name, value in readings.items()}
-        return self._policy(np.array([self._start]), batch)
 
     def _checked(self, imu: Any, positions: ArrayLike, velocities: ArrayLike, command: ArrayLike) -> dict[str, Array]:
         try:
@@ -173,20 +168,6 @@ class PolicyRunner:
         if self._start:
             check_start(self.manifest, readings, readings["joint_position"])
         return readings
-
-    def _check_rate(self, time: float | None) -> None:
-        if time is None:
-            return
-        if not np.isfinite(time) or (self._times and time <= self._times[-1]):
-            raise InputError(f"time={time!r} does not follow that of the last step; give seconds of a steady clock")
-        times = [*self._times, float(time)][-RATE_STEPS - 1 :]
-        mean = (times[-1] - times[0]) / max(len(times) - 1, 1)
-        if len(times) > RATE_STEPS and abs(mean / self._period - 1.0) > RATE_TOLERANCE:
-            raise InputError(
-                f"the last {RATE_STEPS} steps came every {1e3 * mean:.1f} ms; call step() every "
-                f"{1e3 * self._period:.0f} ms, at {1.0 / self._period:g} Hz, with the time in seconds"
-            )
-        self._times = times
 
     def _clipped(self, asked: Array, followed: Array, state: dict[str, Array]) -> None:
         own = self.manifest["command"]

@@ -89,9 +89,11 @@ class SimulatedRobot:
         self._inertia = model.dof_armature[self._planar_v] + own
         self.reset()
 
-    def reset(self) -> None:
-        """Let the robot stand at rest in q0."""
+    def reset(self, qpos: Values | None = None) -> None:
+        """Let the robot stand at rest in q0, or be at rest in another configuration, (nq,)."""
         self._mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
+        if qpos is not None:
+            self.data.qpos[:] = qpos
         self._mujoco.mj_forward(self.model, self.data)
         self.speeds, self._acceleration = np.zeros(2), np.zeros(3)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import torch
@@ -30,7 +31,8 @@ def write_weights(folder: Path, state: Mapping[str, Any]) -> None:
     if curriculum is not None:
         tensors[_CURRICULUM], rest["grid"] = curriculum["weights"], curriculum.get("grid")
     owned = {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}
-    _safetensors().save_file(owned, str(folder / WEIGHTS), metadata={"state": json.dumps(rest)})
+    data = _safetensors().save(owned, metadata={"state": json.dumps(rest)})
+    (folder / WEIGHTS).write_bytes(data)  # save_file hides the file from other users
 
 
 def read_weights(folder: Path) -> dict[str, Any]:
@@ -65,7 +67,8 @@ def _groups(groups: Any) -> Any:
 
 def _safetensors() -> Any:
     try:
-        import safetensors.torch
+        from safetensors import safe_open
+        from safetensors import torch as of_torch
     except ImportError:
         raise MissingPackageError("safetensors", "deploy") from None
-    return safetensors.torch
+    return SimpleNamespace(save=of_torch.save, safe_open=safe_open)
