@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import dataclasses
 import json
 from pathlib import Path
 
@@ -11,11 +13,12 @@ import pytest
 import torch
 
 import torchrl_atr
-from torchrl_atr.cli import main
-from torchrl_atr.deploy import BundleError, PolicyRunner, policies, read_manifest, verify
+from torchrl_atr.cli import commands, main
+from torchrl_atr.deploy import BundleError, PolicyRunner, export, policies, read_manifest, verify
 from torchrl_atr.deploy import manifest as manifests
 from torchrl_atr.deploy.export import LARGEST, export_run
 from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, WEIGHTS
+from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import ROBOTS
 from torchrl_atr.modules import ClippedPolicy
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
@@ -106,7 +109,7 @@ def test_an_installed_bundle_is_a_name_wherever_a_run_is(bundle, tmp_path, monke
     assert main(["evaluate", "mine", *few, "--command-range", "record"]) == 2
     assert "record it in the run, and export that" in capsys.readouterr().err
     tiny = ["--num-envs", "2", "--ppo.rollout-steps", "2", "--ppo.minibatches", "1", "--total-frames", "4"]
-    plain = ["--compiled", "false", "--compute.num-threads", "1"]
+    plain = ["--compute.compiled", "false", "--compute.num-threads", "1"]
     assert main(["train", "--from", "mine", *tiny, *plain, "--output", "finer"]) == 0
     assert main(["train", "--resume", str(bundle)]) == 2
     assert "begin a new run with --from" in capsys.readouterr().err
@@ -176,8 +179,6 @@ def test_another_policy_is_found_by_verify(copied):
 
 
 def test_another_robot_of_that_name_is_refused(bundle, monkeypatch):
-    import dataclasses
-
     heavier = dataclasses.replace(ROBOTS.get("a1"), kp=60.0)
     monkeypatch.setitem(ROBOTS._entries, "a1", heavier)
     with pytest.raises(torchrl_atr.training.CheckpointError, match=r"another robot 'a1' .*kp: 40 then, 60 now"):
@@ -207,6 +208,32 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(bundle, tmp_path,
     assert "holds something else" in capsys.readouterr().err
     assert not output.exists()
     assert {path.name for path in tmp_path.iterdir()} == {"run", "taken"}
+
+
+def test_a_policy_that_acts_otherwise_than_torch_is_not_exported(bundle, tmp_path, monkeypatch):
+    """The weights of the bundle are those that are compared, too."""
+    policy = read_manifest(bundle)["policy"]
+
+    def copy_onnx(step, env, folder):
+        (folder / POLICY).write_bytes((bundle / POLICY).read_bytes())
+        return policy
+
+    def write_other(folder, state):
+        weights = dict(state["learner"]["deployed"])
+        weights["backbone.net.6.even.bias"] = weights["backbone.net.6.even.bias"] + 0.01
+        write_weights(folder, {**state, "learner": {**state["learner"], "deployed": weights}})
+
+    monkeypatch.setattr(export, "_write_onnx", copy_onnx)
+    monkeypatch.setattr(export, "write_weights", write_other)
+    with pytest.raises(BundleError, match="acts otherwise than torch"):
+        export_run(RUN, tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_report_of_a_bundle_is_not_written_into_it(bundle):
+    asked = {"run": bundle, "command_range": "apply", "protocol": "endurance", "output": None}
+    arguments = argparse.Namespace(**asked, robot=None, transporter=None)
+    assert commands._report_folder(arguments) == Path("runs/a1-single_board/endurance")
 
 
 def test_a_scorecard_of_another_training_is_refused(tiny_run, tmp_path):

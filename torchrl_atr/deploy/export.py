@@ -8,8 +8,8 @@ import os
 import re
 import shutil
 import warnings
-from collections.abc import Sequence
-from contextlib import closing
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -116,9 +116,7 @@ def _write_onnx(step: PolicyStep, env: Any, folder: Path) -> dict[str, Any]:
     """Export a policy's step, and return its names and sizes for the manifest."""
     example = _example(step, env)
     shapes = {name: tuple(value.shape[1:]) for name, value in example.items()}
-    with torch.no_grad(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of torch's exporter about itself
-        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with torch.no_grad(), _quiet():
         try:
             program = torch.onnx.export(
                 step,
@@ -152,6 +150,20 @@ def _write_onnx(step: PolicyStep, env: Any, folder: Path) -> dict[str, Any]:
         ],
         "batch": "every tensor has the number of robots, one or more, as its first dimension",
     }
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Leave out what torch's exporter says about itself."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
 
 
 def _example(step: PolicyStep, env: Any) -> dict[str, torch.Tensor]:

@@ -70,7 +70,7 @@ def seal(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
     Example:
         >>> seal({"version": 1})["sha256"][:8]
-        '1ead0eb6'
+        'c3aa9744'
     """
     values = {name: value for name, value in manifest.items() if name != "sha256"}
     return {**values, "sha256": hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()}
