@@ -92,6 +92,28 @@ def _made_by(factory: Any, net: Any) -> Any:
     return factory if getattr(factory, "__doc__", None) else type(net)
 
 
+def policies() -> Iterator[str]:
+    """Yield the policies that are installed: what they ride, and the share that stays up by their scorecards."""
+    from torchrl_atr.deploy import policies as installed
+    from torchrl_atr.deploy import read_manifest
+
+    rows = [["policy", "robot", "transporter", "commands", "up at 10 s", "at 60 s, pushed", "trained, minutes"]]
+    for name in installed():
+        manifest = read_manifest(name)
+        limits, figures = manifest["command"]["limits"], manifest["figures"] or {}
+        up = [_share(figures.get(evaluation)) for evaluation in ("tracking", "endurance")]
+        commands = f"±{limits['max_speed']:g} m/s, ±{limits['max_yaw_rate']:g} rad/s"
+        what = [manifest["robot"]["name"], manifest["transporter"]["name"], commands]
+        rows.append([name, *what, *up, f"{manifest['training']['minutes']:.0f}"])
+    yield from _table(rows)
+    if len(rows) == 1:
+        yield "none is installed; `torchrl-atr export` makes one of a run"
+
+
+def _share(figure: dict[str, Any] | None) -> str:
+    return "-" if figure is None else f"{figure['survival']:.1%}"
+
+
 def rewards() -> Iterator[str]:
     """Yield the reward terms of every task, riding's in Table III's order."""
     from torchrl_atr.envs.tasks import TASKS, make_task
@@ -235,6 +257,7 @@ LISTINGS: dict[str, Callable[[], Iterable[str]]] = {
     "questions": questions,
     "additions": additions,
     "presets": presets,
+    "policies": policies,
     "settings": settings,
 }
 """Listings by the name that ``torchrl-atr list`` takes."""

@@ -15,8 +15,10 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, folder_for, say, whole
 from torchrl_atr._nested import merged
 from torchrl_atr._registry import import_modules
+from torchrl_atr.cli.bundles import export, verify
 from torchrl_atr.cli.printing import StepCounter, replay_head, replay_line
 from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
+from torchrl_atr.deploy.manifest import is_bundle
 from torchrl_atr.listings import LISTINGS, settings_page
 
 if TYPE_CHECKING:
@@ -59,6 +61,8 @@ def _resume(arguments: TrainArguments) -> int:
 
     run, given = arguments.resume, arguments.given
     assert run is not None
+    if is_bundle(run):
+        raise ConfigError(f"--resume {run}: it is a policy bundle, not a run; begin a new run with --from {run}")
     places = [name for name in ("config", "output", "overwrite", "start") if getattr(arguments, name)]
     fixed = [name for name in (*given, *places) if name not in RESUMABLE]
     if fixed:
@@ -166,14 +170,21 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     """Return the folder of the report; the run's own is for the robot and transporter that it was trained on."""
     from torchrl_atr.training import ConfigError
 
-    own = arguments.run if arguments.protocol == "tracking" else arguments.run / arguments.protocol
+    home = arguments.run
+    if is_bundle(home):  # its files are those of its manifest
+        if arguments.command_range == "record":
+            raise ConfigError(
+                f"--command-range record: {home} is a policy bundle; record it in the run, and export that"
+            )
+        home = Path("runs") / home.resolve().name
+    own = home if arguments.protocol == "tracking" else home / arguments.protocol
     output = arguments.output or own
     for name, value in _other_model(arguments).items():
         if arguments.command_range == "record":
             raise ConfigError(
                 f"--command-range record: it is the run's, not that of another {name}; leave out --{name}"
             )
-        if output.resolve() in (arguments.run.resolve(), own.resolve()):
+        if output.resolve() in (home.resolve(), own.resolve()):
             raise ConfigError(
                 f"--{name} {value}: the report in {output} is of the {name} that it was trained on; give "
                 "another folder with --output"
@@ -259,6 +270,8 @@ COMMANDS: dict[str, Any] = {
     "train": train,
     "evaluate": evaluate,
     "play": play,
+    "export": export,
+    "verify": verify,
     "replay": replay,
     "model": write_model,
     "bench": bench,

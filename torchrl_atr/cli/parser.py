@@ -6,10 +6,12 @@ import argparse
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from torchrl_atr import __version__
 from torchrl_atr._registry import nearest
 from torchrl_atr.cli.protocols import PROTOCOLS
+from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.listings import LISTINGS
 
 _PROTOCOL_HELP = (
@@ -28,7 +30,7 @@ def _run(text: str) -> Path:
     path = _path(text)
     if path.is_file():
         raise argparse.ArgumentTypeError(f"{path} is a file; give the folder of a run, such as {path.parent}")
-    return path
+    return find_policy(path)
 
 
 def _number(kind: Callable[[str], float], low: float, high: float) -> Callable[[str], float]:
@@ -65,6 +67,7 @@ def build_parser() -> argparse.ArgumentParser:
     commands.add_parser("train", help="train a policy; continue a run with --resume", add_help=False)
     _add_evaluate(commands.add_parser("evaluate", help="measure how the deployed policy tracks commands, or lasts"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
+    _add_bundles(commands)
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
     replay.add_argument("dump", type=_path)
     _add_import(replay)
@@ -84,6 +87,16 @@ def build_parser() -> argparse.ArgumentParser:
     for command in commands.choices.values():
         command.set_defaults(parser=command)
     return parser
+
+
+def _add_bundles(commands: Any) -> None:
+    export = commands.add_parser("export", help="write the deployed policy as a bundle that runs without torch")
+    export.add_argument("run", type=_run)
+    export.add_argument("--output", type=_path, required=True, metavar="DIR", help="its name becomes the policy's")
+    _add_checkpoint(export)
+    _add_import(export)
+    verify = commands.add_parser("verify", help="check a bundle's files, and that its policy acts as torch did")
+    verify.add_argument("bundle", type=_run)
 
 
 def _add_import(parser: argparse.ArgumentParser) -> None:

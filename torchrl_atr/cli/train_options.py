@@ -16,6 +16,7 @@ import tyro
 
 from torchrl_atr._nested import suggestion
 from torchrl_atr._settings import ConfigError, Setting, settings
+from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.training import TrainConfig, parse_settings
 
 DEFAULT_RUN = Path("runs/latest")
@@ -25,7 +26,8 @@ _PATHS = {
     "config": "File with any settings, .toml or .json, such as a run's config.toml.",
     "output": f"The run folder (default: {DEFAULT_RUN}).",
     "resume": "Continue this run as if it had not stopped.",
-    "start": "Begin a new run with this one's networks, optimisers, command grid and settings, but for those given.",
+    "start": "Begin a new run with this one's (or a policy's) networks, optimisers, command grid and settings, but "
+    "for those given.",
 }
 _DESCRIPTION = """Train a policy. Of a setting's sources the later wins: its default, the preset's, the task's, the
 file's (--config) or the other run's (--from, then --config), the command line's. A reward weight is
@@ -94,7 +96,7 @@ def _path(name: str, text: str | None) -> Path | None:
     path = Path(text)
     if name in ("resume", "start") and path.is_file():
         raise ConfigError(f"{option(name)}: {path} is a file; give the folder of a run, such as {path.parent}")
-    return path
+    return find_policy(path) if name == "start" else path
 
 
 def _entries(words: list[str]) -> tuple[dict[str, str], list[str]]:

@@ -27,6 +27,8 @@ from torchrl.checkpoint import GlobalRNGState
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
+from torchrl_atr.deploy.manifest import is_bundle
+from torchrl_atr.deploy.weights import read_weights
 
 VERSION = 4
 """Version of the contents and names of a checkpoint; a change of them adds a step to ``scripts/convert_run.py``."""
@@ -100,7 +102,7 @@ def load_checkpoint(path: str | Path, device: str = "cpu") -> dict[str, Any]:
     """Read a checkpoint; if the last one of a run folder is damaged or missing, the one before.
 
     Args:
-        path: of the file, or of the run folder that holds it.
+        path: of the file, or of the folder that holds it: a run, or a policy bundle.
         device: where tensors go.
 
     Returns:
@@ -108,8 +110,11 @@ def load_checkpoint(path: str | Path, device: str = "cpu") -> dict[str, Any]:
 
     Raises:
         CheckpointError: if it is missing, truncated, or of another version; says how an earlier one is converted.
+        BundleError: if it is a bundle that is incomplete, changed, or of another version.
     """
     path = Path(path)
+    if is_bundle(path):
+        return {"version": VERSION, **read_weights(path)}
     run, file = (path, path / NAME) if path.is_dir() else (path.parent, path)
     try:
         state = read_checkpoint(file, device)
@@ -134,7 +139,10 @@ def read_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
         CheckpointError: if it is missing, damaged, or not a checkpoint of this package.
     """
     if not path.is_file():
-        raise CheckpointError(f"there is no checkpoint at {path}; give a run folder that `torchrl-atr train` wrote")
+        raise CheckpointError(
+            f"there is no checkpoint at {path}; give a run folder that `torchrl-atr train` wrote, or a name of "
+            "`torchrl-atr list policies`"
+        )
     try:
         _check_whole(path)
         state = torch.load(path, map_location=device, weights_only=True)

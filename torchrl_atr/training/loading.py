@@ -8,6 +8,7 @@ from typing import Any
 
 from torchrl.envs import EnvBase
 
+from torchrl_atr.deploy.manifest import find_policy, is_bundle
 from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.modules import CommandRange, EstimatorError
 from torchrl_atr.training.assembly import LOADED, make_env
@@ -27,12 +28,12 @@ def load_run(
     make_networks: NetworksFactory | None = None,
     **env_overrides: Any,
 ) -> tuple[TrainConfig, Any, Any, dict[str, Any]]:
-    """Return config, env, networks as they are deployed, in eval mode, and the whole checkpoint of a run folder.
+    """Return config, env, networks as they are deployed, in eval mode, and the whole checkpoint of a run or a bundle.
 
     If the folder holds a ``command_range.json``, the networks' deployed policy is clipped to that range.
 
     Args:
-        run: the folder.
+        run: the folder of a run or of a policy bundle, or the name of an installed policy.
         checkpoint: a file in it, such as ``best.pt``; None for the last one.
         imports: modules to import besides those that the run remembers; with some, the latter may be missing.
         make_env: factory of the env, or of one like it, for a run that was trained with a custom env. It is called
@@ -44,8 +45,11 @@ def load_run(
         CheckpointError: if there is no readable checkpoint, it does not fit this code, robot or transporter are not
             those that the run was trained with, or it was trained with custom parts that are not given.
         InputError: if ``command_range.json`` holds no range.
+        BundleError: if a bundle is incomplete, changed, or of another version.
     """
-    run = Path(run)
+    run = find_policy(run)
+    if checkpoint is not None and is_bundle(run):
+        raise CheckpointError(f"{run} is a policy bundle, which has no {checkpoint}; leave out the checkpoint")
     if checkpoint is not None and not (run / checkpoint).is_file():
         raise CheckpointError(f"{run} has no {checkpoint}; train for longer, or take the last checkpoint")
     state = load_checkpoint(run if checkpoint is None else run / checkpoint)

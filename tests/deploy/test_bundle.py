@@ -1,0 +1,244 @@
+"""What a bundle holds, that its policy is the run's, and how spoilt bundles are refused."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+
+import torchrl_atr
+from torchrl_atr.cli import commands, main
+from torchrl_atr.deploy import BundleError, PolicyRunner, export, policies, read_manifest, verify
+from torchrl_atr.deploy import manifest as manifests
+from torchrl_atr.deploy.export import LARGEST, export_run
+from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, WEIGHTS
+from torchrl_atr.deploy.weights import write_weights
+from torchrl_atr.envs.models import ROBOTS
+from torchrl_atr.modules import ClippedPolicy
+from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
+
+RUN = Path(__file__).parents[2] / "results" / "a1-single_board"
+
+
+def test_it_is_small_and_acts_as_torch_does(bundle):
+    assert sum(file.stat().st_size for file in bundle.rglob("*")) < LARGEST
+    found = verify(bundle)
+    assert found.error < 1e-4
+    assert (found.steps, found.robots) == (300, 2)
+    assert found.resets >= 3
+    assert main(["verify", str(bundle)]) == 0
+
+
+def test_the_episode_has_commands_beyond_the_range_and_starts_of_single_robots(bundle):
+    with np.load(bundle / EPISODE) as episode:
+        assert np.abs(episode["command"]).max() > read_manifest(bundle)["command"]["limits"]["max_speed"]
+        assert episode["start"][0].all()
+        assert (episode["start"][1:].sum(1) == 1).any()
+
+
+def test_the_manifest_says_what_the_robot_and_its_task_are(bundle):
+    manifest, robot = read_manifest(bundle), ROBOTS.get("a1")
+    joints = manifest["joints"]
+    assert [joint["name"] for joint in joints] == list(robot.joints)
+    assert [joint["q0"] for joint in joints] == list(robot.q0)
+    assert {joint["kp"] for joint in joints} == {robot.kp}
+    assert manifest["robot"]["action_scale"] == robot.action_scale
+    assert manifest["control"]["rate_hz"] == 50
+    assert sum(each["size"] for each in manifest["observation"]) == 46
+    assert manifest["policy"]["inputs"]["history"] == [10, 46]
+    assert [each["name"] for each in manifest["observation"]][-2:] == ["action", "command"]
+    assert all(each["frame"] and each["unit"] for each in manifest["observation"])
+    assert manifest["training"] == json.loads((RUN / "run.json").read_text())
+    noise = {each["name"]: each["trained_with"]["noise_std"] for each in manifest["sensors"]}
+    assert noise["joint_position"] == 0.005
+
+
+def test_the_model_states_its_opset_and_producer_and_no_folder_of_this_machine(bundle):
+    model, manifest = onnx.load(bundle / POLICY), read_manifest(bundle)["policy"]
+    assert model.opset_import[0].version == manifest["opset"]
+    assert f"{model.producer_name} {model.producer_version}" == manifest["producer"]
+    assert {each.name for each in model.graph.input} == set(manifest["inputs"])
+    for file in (POLICY, SCENE, MANIFEST):
+        assert str(RUN.parents[1]).encode() not in (bundle / file).read_bytes()
+
+
+def test_the_card_has_the_scorecard(bundle):
+    card, scorecard = (bundle / "README.md").read_text(), json.loads((RUN / "scorecard.json").read_text())
+    assert scorecard["run"]["command"] in card
+    survival = scorecard["evaluations"]["endurance"]["survival"]
+    assert f"{survival:.1%}" in card
+    assert read_manifest(bundle)["figures"]["endurance"]["survival"] == survival
+
+
+def test_its_weights_are_the_deployed_ones_of_the_run(bundle):
+    saved, run = (load_checkpoint(folder)["learner"]["deployed"] for folder in (bundle, RUN))
+    assert saved.keys() == run.keys()
+    assert all(torch.equal(saved[name], run[name]) for name in run)
+
+
+def test_it_is_loaded_as_a_policy_with_its_env(bundle):
+    policy, make_env = torchrl_atr.load_policy(bundle)
+    assert isinstance(policy, ClippedPolicy)
+    assert not any(module.training for module in policy.modules())
+    assert set(policy.in_keys) == {"history", "dead_reckoned_velocity", "observation"}
+    env = make_env(num_envs=2, seed=0, num_threads=1)
+    first = env.reset()
+    assert torch.equal(policy(first.clone())["action"], policy(first.clone())["action"])
+    whole = load_run(RUN, num_envs=1)[2].deployed_policy()
+    torch.testing.assert_close(policy(first.clone())["action"], whole(first.clone())["loc"].detach())
+
+
+def test_an_installed_bundle_is_a_name_wherever_a_run_is(bundle, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "policies").mkdir()
+    (tmp_path / "policies" / "mine").symlink_to(bundle)
+    monkeypatch.setattr(manifests.resources, "files", lambda package: tmp_path)
+    assert list(policies()) == ["mine"]
+    assert main(["list", "policies"]) == 0
+    assert "mine" in capsys.readouterr().out
+    few = ["--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
+    assert main(["evaluate", "mine", *few, "--output", "report"]) == 0
+    applied = json.loads((tmp_path / "report" / "metrics.json").read_text())["evaluation"]["command_range"]
+    assert applied["max_speed"] == 5.0
+    assert main(["evaluate", "mine", *few, "--command-range", "record"]) == 2
+    assert "record it in the run, and export that" in capsys.readouterr().err
+    tiny = ["--num-envs", "2", "--ppo.rollout-steps", "2", "--ppo.minibatches", "1", "--total-frames", "4"]
+    plain = ["--compute.compiled", "false", "--compute.num-threads", "1"]
+    assert main(["train", "--from", "mine", *tiny, *plain, "--output", "finer"]) == 0
+    assert main(["train", "--resume", str(bundle)]) == 2
+    assert "begin a new run with --from" in capsys.readouterr().err
+    assert PolicyRunner("mine").manifest["name"] == "a1-single_board"
+
+
+def _remove(folder):
+    (folder / POLICY).unlink()
+
+
+def _flip(folder):
+    data = bytearray((folder / WEIGHTS).read_bytes())
+    data[-1] ^= 1
+    (folder / WEIGHTS).write_bytes(bytes(data))
+
+
+def _edit(folder):
+    (folder / MANIFEST).write_text((folder / MANIFEST).read_text().replace('"kp": 40.0', '"kp": 80.0'))
+
+
+def _cut(folder):
+    (folder / MANIFEST).write_text((folder / MANIFEST).read_text()[:100])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "culprit", "remedy"),
+    [
+        (_remove, "lacks policy.onnx", "copy the whole folder"),
+        (_flip, "weights.safetensors", "copy the bundle again"),
+        (_edit, "was changed after the export", "copy the bundle again"),
+        (_cut, "is not JSON", "export it anew"),
+        (lambda folder: (folder / MANIFEST).unlink(), "manifest.json is missing", "torchrl-atr export"),
+    ],
+)
+def test_a_spoilt_bundle_is_refused(copied, spoil, culprit, remedy):
+    spoil(copied)
+    for use in (verify, PolicyRunner, read_manifest):
+        with pytest.raises(BundleError, match=culprit) as refusal:
+            use(copied)
+        assert remedy in str(refusal.value)
+
+
+def test_a_spoilt_bundle_is_refused_by_commands(copied, capsys):
+    _flip(copied)
+    for words in (["verify"], ["play"], ["evaluate"], ["train", "--from"]):
+        assert main([*words, str(copied)]) == 2
+        assert "is not the file that was exported" in capsys.readouterr().err
+
+
+def test_other_versions_and_schemas_are_refused(rewritten):
+    with pytest.raises(BundleError, match=r"version 2; this code reads version 1: use the torchrl_atr that wrote it"):
+        read_manifest(rewritten(lambda manifest: manifest.update(version=2)))
+    with pytest.raises(BundleError, match="schema 'mine', not"):
+        read_manifest(rewritten(lambda manifest: manifest.update(schema="mine", version=1)))
+
+
+def test_another_policy_is_found_by_verify(copied):
+    with np.load(copied / EPISODE) as episode:
+        values = dict(episode)
+    values["action"][50] += 0.01
+    np.savez_compressed(copied / EPISODE, **values)
+    manifest = json.loads((copied / MANIFEST).read_text())
+    manifest["files"][EPISODE] = manifests.sha256(copied / EPISODE)
+    (copied / MANIFEST).write_text(json.dumps(manifests.seal(manifest)))
+    with pytest.raises(BundleError, match=r"acts otherwise than torch, by 0\.01"):
+        verify(copied)
+
+
+def test_another_robot_of_that_name_is_refused(bundle, monkeypatch):
+    heavier = dataclasses.replace(ROBOTS.get("a1"), kp=60.0)
+    monkeypatch.setitem(ROBOTS._entries, "a1", heavier)
+    with pytest.raises(torchrl_atr.training.CheckpointError, match=r"another robot 'a1' .*kp: 40 then, 60 now"):
+        torchrl_atr.load_policy(bundle)
+
+
+@pytest.fixture
+def tiny_run(tmp_path):
+    def make(**settings):
+        tiny = {"env.num_envs": 2, "total_frames": 8, "ppo.rollout_steps": 2, "ppo.minibatches": 1}
+        Trainer(make_config({**tiny, "compute.num_threads": 1, **settings}), tmp_path / "run").save()
+        return tmp_path / "run"
+
+    return make
+
+
+def test_what_cannot_be_exported_is_refused_and_leaves_nothing(bundle, tmp_path, tiny_run, capsys):
+    output = tmp_path / "out"
+    assert main(["export", str(tiny_run(**{"task.name": "walking"})), "--output", str(output)]) == 2
+    assert "'walking' cannot be exported: of clock the runtime knows nothing" in capsys.readouterr().err
+    assert main(["export", str(bundle), "--output", str(output)]) == 2
+    assert "is a bundle already" in capsys.readouterr().err
+    taken = tmp_path / "taken"
+    taken.mkdir()
+    (taken / "notes.txt").touch()
+    assert main(["export", str(RUN), "--output", str(taken)]) == 2
+    assert "holds something else" in capsys.readouterr().err
+    assert not output.exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"run", "taken"}
+
+
+def test_a_policy_that_acts_otherwise_than_torch_is_not_exported(bundle, tmp_path, monkeypatch):
+    """The weights of the bundle are those that are compared, too."""
+    policy = read_manifest(bundle)["policy"]
+
+    def copy_onnx(step, env, folder):
+        (folder / POLICY).write_bytes((bundle / POLICY).read_bytes())
+        return policy
+
+    def write_other(folder, state):
+        weights = dict(state["learner"]["deployed"])
+        weights["backbone.net.6.even.bias"] = weights["backbone.net.6.even.bias"] + 0.01
+        write_weights(folder, {**state, "learner": {**state["learner"], "deployed": weights}})
+
+    monkeypatch.setattr(export, "_write_onnx", copy_onnx)
+    monkeypatch.setattr(export, "write_weights", write_other)
+    with pytest.raises(BundleError, match="acts otherwise than torch"):
+        export_run(RUN, tmp_path / "out")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_report_of_a_bundle_is_not_written_into_it(bundle):
+    asked = {"run": bundle, "command_range": "apply", "protocol": "endurance", "output": None}
+    arguments = argparse.Namespace(**asked, robot=None, transporter=None)
+    assert commands._report_folder(arguments) == Path("runs/a1-single_board/endurance")
+
+
+def test_a_scorecard_of_another_training_is_refused(tiny_run, tmp_path):
+    run = tiny_run()
+    (run / "scorecard.json").write_text((RUN / "scorecard.json").read_text())
+    (run / "run.json").write_text("{}")
+    with pytest.raises(torchrl_atr._errors.UserError, match=r"scorecard\.json is of another training"):
+        export_run(run, tmp_path / "out")

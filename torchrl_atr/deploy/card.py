@@ -1,0 +1,97 @@
+"""Model card of a bundle, from its manifest and the run's scorecard."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torchrl_atr._errors import UserError
+from torchrl_atr.training.provenance import cores
+
+_SCORECARD = "scorecard.json"
+_REMEDY = "measure it anew with `python -m benchmarks.scorecard RUN` from a clone, or remove it"
+
+
+def check_scorecard(run: Path) -> None:
+    """Check that a run's scorecard, if it has one, is of this training.
+
+    Raises:
+        UserError: if it is of another one.
+    """
+    scorecard, trained = _read(run / _SCORECARD), _read(run / "run.json")
+    if scorecard is not None and trained is not None and scorecard.get("run") != trained:
+        raise UserError(f"{run / _SCORECARD} is of another training than {run / 'run.json'}; {_REMEDY}")
+
+
+def figures(run: Path) -> dict[str, Any] | None:
+    """Return the shares of robots that stay up, by evaluation of the run's scorecard; None without one."""
+    scorecard = _read(run / _SCORECARD)
+    if scorecard is None:
+        return None
+    names = ("n", "survival", "survival_interval", "settled_speed_error", "settled_yaw_error", "commands_mastered")
+    return {
+        evaluation: {name: metrics[name] for name in names if name in metrics}
+        for evaluation, metrics in scorecard["evaluations"].items()
+    }
+
+
+def card(run: Path, manifest: Mapping[str, Any]) -> str:
+    """Return the model card as Markdown; the table is the scorecard's own page, whose title is left out."""
+    robot, transporter, command = manifest["robot"]["name"], manifest["transporter"]["name"], manifest["command"]
+    trained, parity = command["trained"] or {}, manifest["parity"]
+    page = run / "README.md"
+    lines = [
+        f"# {manifest['name']}: {robot} on {transporter}",
+        "",
+        f"A policy that rides: it follows {' and '.join(command['names'])} commands ({', '.join(command['units'])}) "
+        f"from IMU and joint encoders, at {manifest['control']['rate_hz']:g} Hz. Written by `torchrl-atr export`; "
+        "`manifest.json` says all that a deployment needs, and `torchrl-atr verify` checks the folder.",
+        "",
+        "```python",
+        "from torchrl_atr.deploy import PolicyRunner  # needs numpy and onnxruntime alone",
+        "",
+        f'runner = PolicyRunner("{manifest["name"]}", robot="{robot}")',
+        "targets, gains = runner.step(imu, joint_positions, joint_velocities, command=(1.0, 0.0))",
+        "```",
+        "",
+        f"- Commands: {command['clipping']} ({command['source']}). Trained: "
+        + (", ".join(f"{name} ±{bound:g}" for name, bound in trained.items()) or "no grid")
+        + ".",
+        f"- Sensors it was trained with: {_sensors(manifest)}.",
+        f"- ONNX Runtime acts as torch within {parity['error']:.1e} of the action scale, over {parity['steps']} steps "
+        f"of {parity['robots']} robots with {parity['resets']} resets.",
+        f"- {_origin(manifest['training'])}",
+        "- Limits: trained and measured in simulation alone. It starts from a stand at rest in q0; it estimates its "
+        "speed by dead reckoning, which drifts.",
+        "",
+    ]
+    if (run / _SCORECARD).is_file() and page.is_file():
+        measured = page.read_text(encoding="utf-8").strip().splitlines()[2:]
+        lines += ["## Measured", "", *(line for line in measured if not line.startswith("Trained by ")), ""]
+    else:
+        lines += ["## Measured", "", "Nothing yet: the run had no scorecard when it was exported.", ""]
+    return "\n".join(lines)
+
+
+def _sensors(manifest: Mapping[str, Any]) -> str:
+    texts = []
+    for sensor in manifest["sensors"]:
+        own = sensor["trained_with"]
+        parts = [f"{what} {own[key]:.3g}" for what, key in (("noise", "noise_std"), ("bias", "bias_std")) if own[key]]
+        parts += [f"up to {1e3 * own['max_delay_s']:.0f} ms late"] if own["max_delay_s"] else []
+        texts.append(f"{sensor['name'].replace('_', ' ')} ({', '.join(parts) or 'exact'}, {sensor['unit']})")
+    return "; ".join(texts)
+
+
+def _origin(run: Mapping[str, Any]) -> str:
+    began = f" It began from {run['from']['run']}." if "from" in run else ""
+    return (
+        f"Trained by `{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on "
+        f"{cores(run['hardware'])}, seed {run['seed']}.{began}"
+    )
+
+
+def _read(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None

@@ -1,0 +1,56 @@
+"""Closed-loop episode of a policy in our simulation, recorded for the comparison with ONNX Runtime."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torchrl.envs.utils import step_mdp
+
+from torchrl_atr.deploy.loading import LoadedPolicy
+from torchrl_atr.deploy.policy_step import SENSORS
+from torchrl_atr.evaluation.access import deterministic
+
+STEPS, ROBOTS, COMMAND_STEPS = 300, 2, 50
+"""Control steps, robots, and control steps that a command lasts: six seconds."""
+COMMANDS = ((0.0, 0.0), (1.0, 0.3), (-1.0, 0.0), (0.5, -0.5), (12.0, 1.9), (0.0, 0.6))
+"""Forward speeds, m/s, and yaw rates, rad/s, one after the other; one is beyond what is mastered."""
+RESETS = {70: 0, 180: 1, 181: 1}
+"""Robot that begins an episode at a step though it has not fallen, by that step."""
+
+
+@torch.no_grad()
+def record(loaded: LoadedPolicy, seed: int = 0, steps: int = STEPS) -> dict[str, np.ndarray]:
+    """Ride with pushes and sensor errors; record readings, commands, starts of episodes and actions.
+
+    Args:
+        loaded: policy, and factory of its envs.
+        seed: of the env.
+        steps: T.
+
+    Returns:
+        Arrays (T, N, size) by name of the policy's input, ``start`` (T, N) and ``action``.
+    """
+    policy, make_env = loaded
+    env = make_env(num_envs=ROBOTS, seed=seed, pushes=True)
+    sizes = env.base_env.runner.terms.observations.sizes["proprio"]
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in ("start", *SENSORS, "command", "action")}
+    start = torch.ones(ROBOTS, dtype=torch.bool)
+    with deterministic(policy):
+        env.curriculum.pin(COMMANDS[0])
+        td = env.reset()
+        for step in range(steps):
+            if step % COMMAND_STEPS == COMMAND_STEPS - 1:  # observed after this step
+                env.curriculum.pin(COMMANDS[(step // COMMAND_STEPS + 1) % len(COMMANDS)])
+            td = policy(td)
+            parts = dict(zip(sizes, td["proprio"].split(list(sizes.values()), -1)))
+            values = {**parts, "command": td["command"], "start": start, "action": td["action"]}
+            for name, row in rows.items():
+                row.append(values[name].numpy().copy())
+            td = step_mdp(env.step(td))
+            start = td["done"].reshape(-1).clone()
+            if step + 1 in RESETS:
+                start[RESETS[step + 1]] = True
+            if start.any():
+                td = env.reset(td.set("_reset", start.unsqueeze(-1)))
+    env.close()
+    return {name: np.stack(row) for name, row in rows.items()}

@@ -1,0 +1,162 @@
+"""Control step of a deployed policy as one module whose state is tensors in and out: what ``policy.onnx`` computes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs.interpretation import Interpretation
+from torchrl_atr.envs.models import Scene
+from torchrl_atr.envs.tasks.dead_reckoning import KEY, METHODS
+from torchrl_atr.envs.tasks.proprioception import PROPRIO
+from torchrl_atr.modules import CommandRange, NetworkKeys, RidingNetworks
+
+SENSORS = tuple(name for name in PROPRIO if name != "action")
+"""Sensor values that the policy reads, in the order of its inputs."""
+INPUTS = ("start", *SENSORS, "command", "history", "dead_reckoning", "last_action")
+
+
+class StepOutput(NamedTuple):
+    """Outputs of :class:`PolicyStep`, (N, ...) each.
+
+    Attributes:
+        action: joint displacement in units of the action scale.
+        joint_targets: q0 + scale · action within the joints' control ranges, rad.
+        command_in_force: the command, clipped to the range.
+        latent, extrinsic: estimates of the intrinsics' latent and of the extrinsic state (SI units).
+        dead_reckoned_velocity: m/s.
+        next_history, next_dead_reckoning: state for the next step; ``action`` is the third part of it.
+    """
+
+    action: Tensor
+    joint_targets: Tensor
+    command_in_force: Tensor
+    latent: Tensor
+    extrinsic: Tensor
+    dead_reckoned_velocity: Tensor
+    next_history: Tensor
+    next_dead_reckoning: Tensor
+
+
+STATE = {"history": "next_history", "dead_reckoning": "next_dead_reckoning", "last_action": "action"}
+"""Output that each part of the state is read from, by the input that it is the next step's value of."""
+
+
+@dataclass
+class _Sensed:
+    """What the update of a memory term reads of a :class:`~torchrl_atr.envs.tasks.context.StepContext`."""
+
+    memory: Mapping[str, Tensor]
+    proprio: Mapping[str, Tensor]
+    readings: Interpretation
+    state: Any = None
+
+    def sensed(self, name: str) -> Tensor:
+        return self.proprio[name]
+
+
+class PolicyStep(nn.Module):
+    """Estimators and actor with normalisers, observation history, dead reckoning and command clipping around them.
+
+    A row whose ``start`` is true begins an episode, whatever its state is: the robot stands at rest, its history is
+    filled with the first observation, and its last action is zero.
+
+    Args:
+        networks: in eval mode.
+        task: that they were trained in.
+        scene: of its robot, for q0, action scale and control ranges.
+        method: of the dead reckoning, a name of :data:`~torchrl_atr.envs.tasks.dead_reckoning.METHODS`.
+        limits: range that commands are clipped to; None for no clipping.
+
+    Raises:
+        InputError: if the policy reads anything but sensors, command, history and dead reckoning.
+    """
+
+    rest: Tensor
+    q0: Tensor
+    low: Tensor
+    high: Tensor
+
+    def __init__(
+        self, networks: RidingNetworks, task: Any, scene: Scene, method: str, limits: CommandRange | None
+    ) -> None:
+        super().__init__()
+        self.order = tuple(task.observations["proprio"])
+        strange = set(self.order) ^ {*SENSORS, "action"}
+        strange |= {str(key) for key in networks.estimator_inputs if key != NetworkKeys.dead_reckoned_velocity}
+        if strange:
+            raise InputError(
+                f"a policy of the task {task.name!r} cannot be exported: of {', '.join(sorted(strange))} the runtime "
+                f"knows nothing; it knows policies that read {', '.join(SENSORS)}, the last action and {KEY}"
+            )
+        self.networks, self.limits, self.readings = networks, limits, task.readings
+        self.method, self.scale = METHODS[method], scene.robot.action_scale
+        for name, value in {"q0": scene.robot.q0, **target_limits(scene), "rest": self._rest()}.items():
+            self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32), persistent=False)
+
+    def _rest(self) -> Tensor:
+        """Return the state of the dead reckoning of a robot at rest, (1, size)."""
+        zero, one = torch.zeros(1, 3), torch.eye(3).unsqueeze(0)
+        at_rest = SimpleNamespace(velocity=zero, euler=zero, rotation=one)
+        return self.method.start(_Sensed({}, {}, self.readings, at_rest)).clone()
+
+    def forward(
+        self,
+        start: Tensor,
+        acceleration: Tensor,
+        angular_velocity: Tensor,
+        orientation: Tensor,
+        joint_position: Tensor,
+        joint_velocity: Tensor,
+        command: Tensor,
+        history: Tensor,
+        dead_reckoning: Tensor,
+        last_action: Tensor,
+    ) -> StepOutput:
+        """Compute one control step of N robots.
+
+        Args:
+            start: whether an episode begins, (N, 1) bool.
+            acceleration: of the IMU, m/s², (N, 3).
+            angular_velocity: of the IMU, rad/s, (N, 3).
+            orientation: roll and pitch, rad, (N, 2).
+            joint_position: rad, (N, 12).
+            joint_velocity: rad/s, (N, 12).
+            command: forward speed and yaw rate, m/s and rad/s, (N, 2).
+            history: state, see :data:`STATE`, (N, H, D).
+            dead_reckoning: state, (N, size).
+            last_action: state, (N, 12).
+        """
+        command = command if self.limits is None else self.limits(command)
+        sensors = (acceleration, angular_velocity, orientation, joint_position, joint_velocity)
+        proprio = dict(zip(SENSORS, sensors), action=torch.where(start, 0.0, last_action))
+        observation = torch.cat([*(proprio[name] for name in self.order), command], -1)
+        history = torch.where(start.unsqueeze(-1), observation.unsqueeze(-2), history)
+        newest = torch.cat([history[:, 1:], observation.unsqueeze(-2)], 1)
+        moved = self.method.update(_Sensed({KEY: dead_reckoning}, proprio, self.readings))
+        reckoned = torch.where(start, self.rest, moved)
+        velocity = self.method.observe(_Sensed({KEY: reckoned}, {}, self.readings), KEY)
+        shown, networks = newest if self.readings.current_in_history else history, self.networks
+        latent = networks.intrinsic_estimator(shown)
+        extrinsic = networks.extrinsic_estimator(shown, *([velocity] if networks.estimator_inputs else []))
+        action = networks.backbone(observation, latent, extrinsic)
+        targets = torch.clamp(self.q0 + self.scale * action, self.low, self.high)
+        return StepOutput(action, targets, command, latent, extrinsic, velocity, newest, reckoned)
+
+
+def target_limits(scene: Scene) -> dict[str, list[float]]:
+    """Return the control ranges ``low`` and ``high`` of the joints in the spec's order, rad; ±2π for none."""
+    model, chosen = scene.model, scene.layout.actuators
+    limited = model.actuator_ctrllimited[chosen].astype(bool)
+    low, high = model.actuator_ctrlrange[chosen].T
+    full = 2.0 * torch.pi
+    return {
+        "low": [float(value) if has else -full for value, has in zip(low, limited)],
+        "high": [float(value) if has else full for value, has in zip(high, limited)],
+    }
