@@ -24,6 +24,7 @@ LAYERS = [  # each may import from those before it, and from what is in none
     ("torchrl_atr.envs",),
     ("torchrl_atr.modules", "torchrl_atr.objectives"),
     ("torchrl_atr.evaluation",),
+    ("torchrl_atr.navigation",),
     ("torchrl_atr.training",),
     ("torchrl_atr.cli",),
 ]

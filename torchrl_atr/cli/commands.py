@@ -15,6 +15,7 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, folder_for, say, whole
 from torchrl_atr._nested import merged
 from torchrl_atr._registry import import_modules
+from torchrl_atr.cli.navigate import navigate
 from torchrl_atr.cli.printing import StepCounter, replay_head, replay_line
 from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
 from torchrl_atr.listings import LISTINGS, settings_page
@@ -259,6 +260,7 @@ COMMANDS: dict[str, Any] = {
     "train": train,
     "evaluate": evaluate,
     "play": play,
+    "navigate": navigate,
     "replay": replay,
     "model": write_model,
     "bench": bench,

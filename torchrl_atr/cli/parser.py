@@ -9,6 +9,7 @@ from pathlib import Path
 
 from torchrl_atr import __version__
 from torchrl_atr._registry import nearest
+from torchrl_atr.cli.navigate import add_navigate
 from torchrl_atr.cli.protocols import PROTOCOLS
 from torchrl_atr.listings import LISTINGS
 
@@ -65,6 +66,8 @@ def build_parser() -> argparse.ArgumentParser:
     commands.add_parser("train", help="train a policy; continue a run with --resume", add_help=False)
     _add_evaluate(commands.add_parser("evaluate", help="measure how the deployed policy tracks commands, or lasts"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
+    navigation = commands.add_parser("navigate", help="follow planned paths over a map, and measure the energy")
+    add_navigate(navigation, _number, _seed, _run)
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
     replay.add_argument("dump", type=_path)
     _add_import(replay)
