@@ -80,7 +80,7 @@ def cost_of_transport(joints: Array, drive: Array, mass: Array, speed: Array, co
     Example:
         >>> energy = cost_of_transport(*np.array([[120.0], [60.0], [10.0], [1.0]]), count=12)
         >>> [round(float(value[0]), 3) for value in energy]
-        [0.102, 1.224, 1.835]
+        [0.102, 1.223, 1.835]
     """
     weight = mass * GRAVITY * speed
     return Energy(joints / count / weight, joints / weight, (joints + drive) / weight)
