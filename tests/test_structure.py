@@ -25,6 +25,7 @@ LAYERS = [  # each may import from those before it, and from what is in none
     ("torchrl_atr.modules", "torchrl_atr.objectives"),
     ("torchrl_atr.evaluation",),
     ("torchrl_atr.deploy.manifest", "torchrl_atr.deploy.weights"),
+    ("torchrl_atr.navigation",),
     ("torchrl_atr.training",),
     ("torchrl_atr.deploy",),
     ("torchrl_atr.cli",),

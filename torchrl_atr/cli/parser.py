@@ -10,6 +10,7 @@ from typing import Any
 
 from torchrl_atr import __version__
 from torchrl_atr._registry import nearest
+from torchrl_atr.cli.navigate import add_navigate
 from torchrl_atr.cli.protocols import PROTOCOLS
 from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.listings import LISTINGS
@@ -68,6 +69,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_evaluate(commands.add_parser("evaluate", help="measure how the deployed policy tracks commands, or lasts"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
     _add_bundles(commands)
+    navigation = commands.add_parser("navigate", help="follow planned paths over a map, and measure the energy")
+    add_navigate(navigation, _number, _seed, _run)
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
     replay.add_argument("dump", type=_path)
     _add_import(replay)

@@ -65,6 +65,7 @@ def ride(
     command_steps: int | None = None,
     speeds: Callable[[EnvBase], Tensor] = achieved_speeds,
     keys: NetworkKeys | None = None,
+    until_down: bool = False,
 ) -> None:
     """Ride ``total`` steps from a reset, without exploration, and call ``watch`` after each.
 
@@ -80,6 +81,7 @@ def ride(
         command_steps: duration of a command; None for the whole ride.
         speeds: measures the env's robots, one value per command component, (n, C).
         keys: names of the TensorDict entries, if the env has its own.
+        until_down: end earlier once all robots are down.
 
     Raises:
         TypeError: if the env cannot pin commands, or has no achieved speeds.
@@ -103,6 +105,8 @@ def ride(
             step = RideStep(index, commands[number], observed, decided, up, speeds(env), down)
             watch(step)
             up = ~step.down
+            if until_down and not up.any():
+                break
             td = step_mdp(td)
 
 

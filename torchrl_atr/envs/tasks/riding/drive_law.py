@@ -214,6 +214,19 @@ class DriveHook(SubstepHook):
         """Set the speeds of simulations that diverged to zero."""
         self.speeds[rows] = 0.0
 
+    def power(self) -> Tensor:
+        """Compute the mechanical power of the propulsion now, W, (N,).
+
+        It accelerates the transporter and all that stands on it along the heading, turns the transporter, and overcomes
+        the transporter's resistance.
+        """
+        masses = self.engine.fields["body_mass"]
+        inertia = self.law.planar_inertia(masses[:, self._boards].sum(-1))[:, ::2]
+        resisted = self._scale * resistance(self.speeds, self.law.transporter.resistance, self.law.readings)
+        power = inertia * resisted * self.speeds
+        inertia[:, 0] = masses.sum(-1)
+        return (power + inertia * self.acceleration() * self.speeds).sum(-1)
+
     def acceleration(self, rows: Tensor | slice = slice(None)) -> Tensor:
         """Compute v̇ and α of the law for ``rows`` at their present tilt and speeds, m/s² and rad/s², (n, 2)."""
         speeds, tilt = self.speeds[rows], self.engine.qpos[rows][:, self._tilt]

@@ -1,0 +1,79 @@
+"""Pure pursuit on a robot that obeys its commands at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from torchrl_atr._errors import InputError
+from torchrl_atr.navigation import Path, PurePursuit, PursuitConfig
+
+DT = 0.02
+
+
+def circle(radius: float) -> Path:
+    angle = np.linspace(0.0, 1.5 * np.pi, 200)
+    return Path.through(radius * np.stack([np.sin(angle), 1.0 - np.cos(angle)], -1))
+
+
+STRAIGHT = Path.through(np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [30.0, 0.0]]))
+
+
+def follow(paths, poses, config, seconds):
+    pursuit, poses = PurePursuit(paths, config), np.array(poses, dtype=float)
+    away, commands = [], []
+    for _ in range(round(seconds / DT)):
+        command = pursuit.command(poses)
+        speed, rate = command.T
+        poses = poses + DT * np.stack([speed * np.cos(poses[:, 2]), speed * np.sin(poses[:, 2]), rate], -1)
+        away.append(pursuit.locate(poses))
+        commands.append(command)
+    return pursuit, poses, np.array(away), np.array(commands)
+
+
+def test_it_follows_a_straight_line_and_a_circle_at_their_curvature():
+    config = PursuitConfig(speed=1.0)
+    pursuit, poses, away, commands = follow([STRAIGHT, circle(5.0)], np.zeros((2, 3)), config, 15.0)
+    assert away.max() < 0.05
+    assert commands[100:600, 1, 1].mean() == pytest.approx(0.2, rel=0.03)  # v / r
+    assert np.abs(commands[:, 0, 1]).max() < 1e-6
+    assert not pursuit.reached(poses).any()
+
+
+def test_a_robot_beside_the_path_returns_to_it():
+    _, poses, away, _ = follow([STRAIGHT], [(0.0, 2.0, 0.5)], PursuitConfig(speed=1.0, max_yaw_rate=2.0), 12.0)
+    assert away[0] > 1.9
+    assert away[-1] < 0.05
+    assert abs(poses[0, 2]) < 0.05
+
+
+def test_it_brakes_before_the_goal_and_stops_there():
+    config = PursuitConfig(speed=2.0, deceleration=0.5, goal_radius=0.5)
+    pursuit, poses, _, commands = follow([STRAIGHT], np.zeros((1, 3)), config, 25.0)
+    assert pursuit.reached(poses).all()
+    speed = commands[:, 0, 0]
+    assert speed[:400].max() == pytest.approx(2.0)
+    assert speed[-1] < 0.4
+    assert (speed[:-1] ** 2 - speed[1:] ** 2).max() < 2 * 0.5 * 0.1 + 1e-6  # v² falls by 2 a for each point passed
+
+
+def test_speed_falls_where_a_turn_would_exceed_the_yaw_rate():
+    _, _, _, commands = follow([circle(2.0)], np.zeros((1, 3)), PursuitConfig(speed=3.0, max_yaw_rate=0.5), 4.0)
+    assert np.abs(commands[..., 1]).max() <= 0.5
+    assert commands[-1, 0, 0] < 2.0
+
+
+def test_a_path_that_crosses_itself_is_followed_in_order():
+    angle = np.linspace(0.0, 2 * np.pi, 400)
+    eight = Path.through(np.stack([8 * np.sin(angle), 4 * np.sin(2 * angle)], -1))
+    start = [(0.0, 0.0, eight.headings[0])]
+    pursuit, _, away, _ = follow([eight], start, PursuitConfig(speed=1.0), eight.length / 2 + 3.0)
+    assert away.max() < 0.15
+    assert pursuit.progress[0] > len(eight.points) / 2
+
+
+def test_wrong_numbers_are_named():
+    with pytest.raises(InputError, match="speed"):
+        PursuitConfig(speed=0.0)
+    with pytest.raises(InputError, match="needs a path for each robot"):
+        PurePursuit([])

@@ -1,0 +1,97 @@
+"""Metrics, files and figure of trips."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchrl_atr._files import atomic, write_json
+from torchrl_atr.evaluation.intervals import bootstrap, wilson
+from torchrl_atr.navigation.map import Map
+from torchrl_atr.navigation.paths import Path
+from torchrl_atr.navigation.trips import COLLIDED, FELL, GOAL, TIMEOUT, TripsResult
+
+Array = NDArray[np.float64]
+COLOURS = {GOAL: "tab:blue", FELL: "tab:red", COLLIDED: "tab:orange", TIMEOUT: "tab:purple"}
+
+
+def trip_metrics(result: TripsResult) -> dict[str, Any]:
+    """Return shares, and means with 95 % intervals over trips; costs of transport are of trips that reached the goal.
+
+    Returns:
+        ``trips``, ``outcomes`` by name, ``success`` with ``success_interval``; ``mean`` and ``interval`` of ``spl``
+        over all trips, and of ``seconds``, ``speed``, ``deviation``, ``joint_power``, ``drive_power``, ``cot_paper``,
+        ``cot_joints``, ``cot_system`` over successful ones, None without any.
+    """
+    there = result.outcome == GOAL
+    outcomes = {name: int((result.outcome == name).sum()) for name in COLOURS}
+    values: dict[str, Array] = {
+        "seconds": result.seconds,
+        "speed": result.travelled / np.maximum(result.seconds, 1e-9),
+        "deviation": result.deviation,
+        "joint_power": result.joint_power,
+        "drive_power": result.drive_power,
+        **{f"cot_{name}": np.asarray(value, dtype=float) for name, value in result.energy._asdict().items()},
+    }
+    successes, n = int(there.sum()), len(there)
+    return {
+        "trips": n,
+        "outcomes": outcomes,
+        "success": successes / n,
+        "success_interval": list(wilson(successes, n)),
+        "spl": _summary(result.spl),
+        **{name: _summary(value[there]) for name, value in values.items()},
+    }
+
+
+def _summary(values: Array) -> dict[str, Any]:
+    if not len(values):
+        return {"mean": None, "interval": None}
+    low, high = bootstrap(values, np.ones_like(values)) if len(values) > 1 else (np.nan, np.nan)
+    ends = [float(low), float(high)]
+    return {"mean": float(values.mean()), "interval": ends if np.isfinite(ends).all() else None}
+
+
+def write_trips(
+    result: TripsResult, paths: Sequence[Path], where: Map, metrics: Mapping[str, Any], folder: str | FilePath
+) -> dict[str, FilePath]:
+    """Write ``metrics.json``, ``trips.npz`` (paths, traces, outcomes) and ``overview.png``; return the files."""
+    files = {name: FilePath(folder) / name for name in ("metrics.json", "trips.npz", "overview.png")}
+    write_json(files["metrics.json"], metrics, allow_nan=False)
+    arrays: dict[str, Any] = {f"path_{i}": path.points for i, path in enumerate(paths)}
+    arrays |= {f"trace_{i}": trace for i, trace in enumerate(result.traces)}
+    with atomic(files["trips.npz"]) as file:
+        np.savez_compressed(file, outcome=result.outcome, seconds=result.seconds, **arrays)
+    plot_trips(result, paths, where, files["overview.png"])
+    return files
+
+
+def plot_trips(result: TripsResult, paths: Sequence[Path], where: Map, file: str | FilePath) -> FilePath:
+    """Draw the map, the planned paths (grey) and what was travelled, coloured by outcome."""
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+    from torchrl_atr.evaluation.plotting import save
+
+    figure = Figure(figsize=(7, 7), layout="constrained")
+    axis = figure.subplots()
+    for part in getattr(where.free, "geoms", [where.free]):
+        axis.fill(*part.exterior.xy, facecolor="white", edgecolor="black", linewidth=0.8)
+        for hole in part.interiors:
+            axis.fill(*hole.xy, facecolor="0.75", edgecolor="0.5", linewidth=0.5)
+    axis.set_facecolor("0.75")
+    for path, trace, outcome in zip(paths, result.traces, result.outcome):
+        axis.plot(*path.points.T, color="0.8", linewidth=0.6)
+        axis.plot(*trace[:, :2].T, color=COLOURS[str(outcome)], linewidth=0.8)
+        axis.plot(*trace[-1, :2], "o", color=COLOURS[str(outcome)], markersize=3)
+    shown = [name for name in COLOURS if (result.outcome == name).any()]
+    handles = [
+        Line2D([], [], color=COLOURS[name], label=f"{name}: {int((result.outcome == name).sum())}") for name in shown
+    ]
+    axis.legend(handles=handles, loc="upper left", fontsize=8)
+    axis.set(aspect="equal", xlabel="x, m", ylabel="y, m", title=f"{where.name}: {len(paths)} trips")
+    return save(figure, file)
