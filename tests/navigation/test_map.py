@@ -62,7 +62,7 @@ def test_a_wrong_file_names_the_entry(tmp_path, text, message):
 def test_unknown_names_and_missing_files_say_what_there_is():
     with pytest.raises(UnknownNameError, match="did you mean 'streets'"):
         load_map("street")
-    with pytest.raises(MapError, match="no map file nowhere.toml; give an existing file, or one of open, streets"):
+    with pytest.raises(MapError, match=r"no map file nowhere\.toml; give an existing file, or one of open, streets"):
         load_map("nowhere.toml")
     with pytest.raises(MapError, match="the obstacles cover all"):
         _ = Map("full", shapely.box(0, 0, 1, 1), (shapely.box(0, 0, 2, 2),)).free
