@@ -29,7 +29,7 @@ class TrainingLoop:
 
     def __init__(self, config: TrainConfig, folder: Path, riding: bool = False) -> None:
         self.config, self.riding = config, riding
-        self.trainer = Trainer(config, folder, start=RIDE if riding else None)
+        self.trainer = Trainer(config, folder, begin_from=RIDE if riding else None)
         self.learner, self.env = self.trainer.learner, self.trainer.env
         self.collection = self.trainer.collection
 

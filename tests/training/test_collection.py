@@ -10,7 +10,7 @@ from importlib.util import find_spec
 import pytest
 import torch
 
-from torchrl_atr.modules import correlate
+from torchrl_atr.modules import with_correlated_noise
 from torchrl_atr.training import ConfigError, Learner, make_config, make_env, make_run_networks
 from torchrl_atr.training.collection import Collection, CollectionError
 
@@ -26,7 +26,7 @@ def start(collector):
     env = make_env(config)
     networks = make_run_networks(config, env)
     learner = Learner(networks, config)
-    policy = correlate(networks.rollout_policy(config.roa.act_source), config.exploration.noise_correlation)
+    policy = with_correlated_noise(networks.rollout_policy(config.roa.act_source), config.exploration.noise_correlation)
     return config, learner, Collection(config, env, partial(make_env, config), policy)
 
 

@@ -38,7 +38,7 @@ NETWORKS_INTERFACE = (
     "estimator_parameters",
     "update_normalizers",
 )
-"""Attributes of a run's networks, as of :class:`~torchrl_atr.modules.RidingNetworks`; see docs/own_parts.md."""
+"""Attributes of a run's networks, as of :class:`~torchrl_atr.modules.ROANetworks`; see docs/own_parts.md."""
 LOSS_INTERFACE = ("policy_loss", "adaptation_loss", "policy_in_keys", "adaptation_in_keys")
 """Attributes of a run's loss, as of :class:`~torchrl_atr.objectives.ROAClipPPOLoss`; see docs/own_parts.md."""
 
@@ -160,7 +160,7 @@ class Parts:
         """
         if self.make_networks is not None:
             networks = self.make_networks(env)
-            _check_interface("make_networks", networks, NETWORKS_INTERFACE, "RidingNetworks of make_networks")
+            _check_interface("make_networks", networks, NETWORKS_INTERFACE, "ROANetworks of make_networks")
             return networks
         recipes_env: Any = env
         own = self.make_env is not None

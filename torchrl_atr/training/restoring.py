@@ -109,7 +109,7 @@ def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] =
     return {**settings, "imports": list(dict.fromkeys(imported))}
 
 
-def run_config(
+def checkpoint_config(
     state: Mapping[str, Any], run: Path, imports: Sequence[str] = (), changed: Mapping[str, Any] = MappingProxyType({})
 ) -> TrainConfig:
     """Return the settings of a checkpoint, some of them changed.

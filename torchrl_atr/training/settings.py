@@ -10,7 +10,7 @@ from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.tasks.events import Pushes
 from torchrl_atr.envs.tasks.overrides import Ranges
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import Source
+from torchrl_atr.modules import ActSourceName
 
 MAX_SPEED, MAX_YAW_RATE = CommandGrid().bounds
 """Largest command of the paper: m/s and rad/s."""
@@ -26,8 +26,7 @@ class EnvConfig(Settings):
     num_envs: int = setting(512, within=(1, 1e6), alias="num-envs", paper=4096)
     """Robots simulated at once. 512 robots of 12 steps learn as much from a frame as 256 of 24, and collect faster."""
     episode_seconds: float = setting(60.0, within=(0.1, 1e6), unit="s", paper=10.0)
-    """Time limit of an episode in the end. After a minute feet have shifted and estimates have drifted, which short
-    episodes never show."""
+    """Time limit of an episode in the end. Within a minute feet shift and estimates drift; short episodes hide it."""
     first_episode_seconds: float = setting(
         5.0, within=(0, 1e6), unit="s", off=0.0, addition="episodes that become longer during training"
     )
@@ -82,8 +81,8 @@ class TaskConfig(Settings):
     displaced_start: float = setting(0.3, within=(0, 1), off=0.0, addition="displaced starts")
     """Share of the episodes whose robot starts shifted and turned on the boards, as after a minute of pushes."""
     drifted_start: float = setting(0.3, within=(0, 1), off=0.0, addition="drifted starts")
-    """Share of the episodes whose dead-reckoned velocity starts wrong, as after minutes without a turn: a straight ride
-    does not show the accelerometer's bias."""
+    """Share of the episodes whose dead-reckoned velocity starts wrong, as after minutes without a turn, which alone
+    shows the accelerometer's bias."""
     steering_weight_peak: float = setting(
         3.0, within=(0, 100), off=1.0, addition="schedule of the steering reward's weight"
     )
@@ -112,8 +111,7 @@ class CurriculumConfig(Settings):
     score_from_seconds: float = setting(
         1.0, within=(0, 1e6), question="A6", unit="s", off=0.0, addition="scores without the first second of a command"
     )
-    """Part of a command's time that the score leaves out. Reaching a command takes time that says nothing about holding
-    it."""
+    """Part of a command's time that is not scored. Reaching a command takes time that says nothing about holding it."""
     count_own_twice: bool = setting(False, question="A4", legged_gym=True)
     """Let a succeeding cell of the command grid grow twice. Open whether the own cell is part of the neighbourhood that
     grows, or grows once more. Once; the code of rapid-locomotion-rl counts it twice."""
@@ -141,19 +139,17 @@ class ExplorationConfig(Settings):
     """Standard deviation at first, in units of the action; in a run that begins with another's networks, the ceiling at
     first. legged_gym explores with 1: on a board, robots then fall within two seconds."""
     relative_std: float = setting(0.1, within=(1e-3, 10), question="A21", legged_gym=1.0)
-    """Standard deviation of what legs do against each other, with leg_patterns. Legs that pull against each other tilt
-    nothing."""
+    """With leg_patterns, standard deviation at first of what legs do against each other, in units of the action; no
+    ratio to init_std, which is then that of what all legs do alike. Legs that pull against each other tilt nothing."""
     min_std: float = setting(0.03, within=(0, 10), off=0.0, addition="a floor of the exploration")
     """Floor of the standard deviations. They can grow again from there."""
     noise_correlation: float = setting(0.9, within=(0, 0.999), question="A21", off=0.0, addition="noise that lasts")
     """Correlation of the noise from one control step to the next. White noise at 50 Hz averages out before a board has
     tilted; here a deviation lasts for some ten steps."""
     anneal: bool = setting(True, question="A21", off=False, addition="annealed exploration and KL target")
-    """Lower a ceiling of the exploration, and ppo.target_kl to final_kl, late in the run. Noise hides which way the
-    board is tilted."""
+    """Lower a ceiling of the exploration, and ppo.target_kl to final_kl, late in the run. Noise hides the tilt."""
     anneal_from: float = setting(0.4, within=(0, 0.99))
-    """Share of the run after which the ceiling falls geometrically from init_std. A policy that can ride turns better
-    with less noise."""
+    """Share of the run after which the ceiling falls geometrically from init_std. Turns are better with less noise."""
     anneal_until: float = setting(0.85, within=(0.01, 1))
     """Share of the run from which on that ceiling is final_std."""
     final_std: float = setting(0.06, within=(1e-3, 10))
@@ -232,9 +228,10 @@ class ROAConfig(Settings):
     coeff: float = setting(0.2, within=(0, 1e3))
     """Weight λ of Eq. 15. As in the paper."""
     ramp: bool = setting(False, question="A23", legged_gym=True)
-    """Grow λ linearly from 0 over the run. Open whether λ = 0.2 is constant or the end of a ramp. Constant; Extreme
-    Parkour ramps it up."""
-    act_source: Source = setting("mixed", question="A24", off="privileged", addition="acting on estimates in training")
+    """Grow λ linearly from 0 over the run. Open whether it is constant or ramped; Extreme Parkour ramps it up."""
+    act_source: ActSourceName = setting(
+        "mixed", question="A24", off="privileged", addition="acting on estimates in training"
+    )
     """Inputs of the actor in training; mixed: half of the robots act on their estimates. The paper's figure shows the
     privileged policy in training; acting on estimates, estimators also learn on states that their errors lead to."""
     latent_features: int = setting(16, within=(1, 1e5))

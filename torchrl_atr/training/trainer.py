@@ -50,12 +50,12 @@ class Trainer:
         run: folder for config, checkpoint, logs; made if missing.
         state: a checkpoint to continue from. With ``collector="direct"`` on the CPU, not compiled, with the same
             threads and no time limit, the run continues bit for bit as if it had not stopped.
-        start: folder of another run, with whose deployed networks, optimisers' moments and command grid a new one
+        begin_from: folder of another run, with whose deployed networks, optimisers' moments and command grid a new one
             begins, at its policy's learning rate if that is lower; all else is new.
         replaced: ``"robot"`` or ``"transporter"`` if another one than that run's may be meant by the same name.
         make_env: ``make_env(num_envs=, seed=, num_threads=)`` makes an env. A run resumes bit for bit if the env below
             all transforms has ``get_state()`` and ``set_state(state)``; else episodes begin anew.
-        make_networks: ``make_networks(env)`` makes the networks, like :class:`~torchrl_atr.modules.RidingNetworks`.
+        make_networks: ``make_networks(env)`` makes the networks, like :class:`~torchrl_atr.modules.ROANetworks`.
         make_loss: ``make_loss(networks)`` makes the loss, like :class:`~torchrl_atr.objectives.ROAClipPPOLoss`.
         logger: of ``torchrl.record.loggers``, which takes TensorBoard's place; it stays open.
         callbacks: called at fixed points of the run.
@@ -72,7 +72,7 @@ class Trainer:
     Raises:
         CheckpointError: if the networks of either do not fit the settings, it was trained with another robot or
             transporter than there is here, or with custom parts that are not given.
-        ConfigError: if ``start`` is ``run`` itself, or a part cannot be used.
+        ConfigError: if ``begin_from`` is ``run`` itself, or a part cannot be used.
         EstimatorError: if the estimator cannot be trained.
 
     Example:
@@ -93,7 +93,7 @@ class Trainer:
         config: TrainConfig,
         run: str | Path,
         state: dict[str, Any] | None = None,
-        start: str | Path | None = None,
+        begin_from: str | Path | None = None,
         replaced: Iterable[str] = (),
         *,
         make_env: EnvFactory | None = None,
@@ -104,7 +104,9 @@ class Trainer:
     ) -> None:
         self.run, self.config = Path(run), config
         self.parts = Parts(make_env, make_networks, make_loss, Callbacks(callbacks))
-        other = check_given(config, self.run, self.parts, state, None if start is None else Path(start), logger)
+        other = check_given(
+            config, self.run, self.parts, state, None if begin_from is None else Path(begin_from), logger
+        )
         torch.manual_seed(config.seed)
         self.threads = TorchThreads(config.compute.torch_threads, adaptive=config.compute.torch_threads == 0)
         self.env = self._env_maker()

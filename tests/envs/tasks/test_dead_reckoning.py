@@ -31,7 +31,7 @@ def drive(
         "angular_velocity": (rotation * torch.tensor([[0.0, 0.0, yaw_rate]]).unsqueeze(-1)).sum(-2),
         "orientation": euler[:, :2],
     }
-    context = SimpleNamespace(state=state, readings=get_interpretation(), memory={}, sensed=sensed.__getitem__)
+    context = SimpleNamespace(state=state, interpretation=get_interpretation(), memory={}, sensed=sensed.__getitem__)
     context.memory[KEY] = term.start(context)
     for _ in range(round(seconds / CONTROL_DT)):
         context.memory[KEY] = term.update(context)
