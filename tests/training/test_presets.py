@@ -19,11 +19,13 @@ DOCS = Path(torchrl_atr.__file__).parents[1] / "docs"
 PAPER = make_config({"preset": "paper"})
 ADDITIONS = {  # setting and the value that turns it off, kept apart from the declarations
     "env.staggered_starts": False,
+    "env.first_episode_seconds": 0.0,
     "env.overspeed_margin": (),
     "env.failed_episode_replay": 0.0,
     "task.sensors": "ideal",
     "task.moving_start": 0.0,
     "task.displaced_start": 0.0,
+    "task.drifted_start": 0.0,
     "task.steering_weight_peak": 1.0,
     "task.interpretation.coulomb_smoothing": 0.0,
     "task.interpretation.driven_smoothness": False,

@@ -8,14 +8,14 @@ from torchrl.envs import SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 from torchrl.testing.mocking_classes import CountingBatchedEnv, CountingEnv
 
-from torchrl_atr.envs.transforms import RandomizedStepCounter
+from torchrl_atr.envs.transforms import RandomizedStepCounter, TimeLimitGrowth
 
 LIMIT, ENVS = 10, 64
 
 
-def env(check_interval: int = 1) -> TransformedEnv:
+def env(check_interval: int = 1, growth: TimeLimitGrowth | None = None) -> TransformedEnv:
     endless = CountingBatchedEnv(max_steps=torch.full((ENVS,), 10**6), batch_size=[ENVS])
-    return TransformedEnv(endless, RandomizedStepCounter(LIMIT, seed=0, check_interval=check_interval))
+    return TransformedEnv(endless, RandomizedStepCounter(LIMIT, seed=0, check_interval=check_interval, growth=growth))
 
 
 def ends(check_interval: int) -> torch.Tensor:
@@ -64,6 +64,29 @@ def test_a_restored_state_goes_on_at_the_same_phase():
     wanted, _ = ride(original, data.clone(), 3 * LIMIT)
     assert wanted.any()
     assert torch.equal(goes_on, wanted)
+
+
+def test_a_limit_grows_geometrically_between_two_steps():
+    growth = TimeLimitGrowth(first=2, begin=20, end=60)
+    assert [growth.limit(step, 32) for step in (0, 20, 30, 40, 50, 60, 10**9)] == [2, 2, 4, 8, 16, 32, 32]
+    assert TimeLimitGrowth(first=2, begin=20, end=20).limit(19, 32) == 2
+
+
+def test_episodes_become_longer_where_the_limit_grows():
+    data = env(growth=TimeLimitGrowth(first=2, begin=20, end=40)).rollout(80, break_when_any_done=False)["next"]
+    lengths = torch.where(data["truncated"], data["step_count"], 0).squeeze(-1)
+    assert set(lengths[:, :20].unique().tolist()) == {0, 2}
+    growing = lengths[:, 20:40].amax(0)
+    assert growing[growing > 0].diff().min() >= 0
+    assert set(lengths[:, 50:].unique().tolist()) == {0, LIMIT}
+
+
+def test_a_restored_env_has_the_limit_that_it_had():
+    growth = TimeLimitGrowth(first=2, begin=20, end=40)
+    original, restored = env(growth=growth), env(growth=growth)
+    original.rollout(30, break_when_any_done=False)
+    restored.transform.load_state_dict(original.transform.state_dict())
+    assert 2 < restored.transform.limit == original.transform.limit < LIMIT
 
 
 @pytest.mark.parametrize("check_interval", [0, -3])
