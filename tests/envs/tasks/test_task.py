@@ -137,11 +137,11 @@ def short(engine):
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"hook": lambda engine: 3}, "hook made 3 of an engine; give a subclass of SubstepHook"),
-        ({"hook": forgetful}, r"SubstepHook has no state; call super\(\).__init__\(engine\)"),
-        ({"hook": clashing}, "calls an entry of its state 'qpos', as the engine does"),
-        ({"hook": short}, "its state 'clock' must be a tensor of 2 rows"),
-        ({"hook": DriveHook}, "riding needs a Transporter to stand on, not 'flat_ground'"),
+        ({"substep_hook": lambda engine: 3}, "hook made 3 of an engine; give a subclass of SubstepHook"),
+        ({"substep_hook": forgetful}, r"SubstepHook has no state; call super\(\).__init__\(engine\)"),
+        ({"substep_hook": clashing}, "calls an entry of its state 'qpos', as the engine does"),
+        ({"substep_hook": short}, "its state 'clock' must be a tensor of 2 rows"),
+        ({"substep_hook": DriveHook}, "riding needs a Transporter to stand on, not 'flat_ground'"),
         ({"state_extractor": RidingStateExtractor}, "a RidingState needs substep_hook=DriveHook, not SubstepHook"),
         ({"memory": {**WALKING.memory, "steps": WALKING.memory["phase"]}}, "the memory term 'steps' has the name of"),
         ({"memory": {**WALKING.memory, "qpos": WALKING.memory["phase"]}}, "the memory term 'qpos' has the name of"),
