@@ -138,7 +138,7 @@ def additions() -> Iterator[str]:
     from torchrl_atr.training import additions as known
 
     rows = [["addition", "setting", "off (paper)", "default", "what it is, and why"]]
-    return _table([*rows, *([each.what, each.switch, _value(each.off), _value(each.on), each.why] for each in known())])
+    return _table([*rows, *([each.addition, each.path, *_off_and_on(each), each.text] for each in known())])
 
 
 def questions() -> Iterator[str]:
@@ -160,7 +160,7 @@ def settings_page() -> Iterator[str]:
     yield from ("", "| addition | setting | off (`paper`) | default | what it is, and why |")
     yield "| --- | --- | --- | --- | --- |"
     for each in known():
-        yield f"| {each.what} | `{each.switch}` | {_value(each.off)} | {_value(each.on)} | {_cell(each.why)} |"
+        yield f"| {each.addition} | `{each.path}` | {' | '.join(_off_and_on(each))} | {_cell(each.text)} |"
     group = ""
     for path, declaration in _settings().items():
         own = path.rpartition(".")[0] or "run"
@@ -172,6 +172,10 @@ def settings_page() -> Iterator[str]:
         paper = paper if paper == default else f"**{paper}**"
         text = _cell(declaration.text)
         yield f"| `{path.rpartition('.')[2]}` | {default} | {paper} | {declaration.range} | {text} |"
+
+
+def _off_and_on(addition: Setting) -> tuple[str, str]:
+    return _value(addition.value_in("paper")), _value(addition.default)
 
 
 def _cell(text: str) -> str:

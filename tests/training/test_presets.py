@@ -54,17 +54,17 @@ def value(config, path):
 
 
 def test_the_list_of_additions_is_whole_and_all_are_off_in_paper():
-    assert {each.switch: each.off for each in additions()} == ADDITIONS
+    assert {each.path: each.value_in("paper") for each in additions()} == ADDITIONS
     for each in additions():
-        assert value(PAPER, each.switch) == each.off, each.switch
-        assert value(TrainConfig(), each.switch) == each.on, each.switch
-        assert each.why, each.switch
+        assert value(PAPER, each.path) == each.value_in("paper"), each.path
+        assert value(TrainConfig(), each.path) == each.default, each.path
+        assert each.text, each.path
 
 
 @pytest.mark.parametrize("preset", ["literal", "legged_gym"])
 def test_the_other_presets_have_no_additions_either(preset):
     config = make_config({"preset": preset})
-    assert {each.switch: value(config, each.switch) for each in additions()} == ADDITIONS
+    assert {each.path: value(config, each.path) for each in additions()} == ADDITIONS
 
 
 def test_what_the_paper_prints_is_in_its_preset():
@@ -89,7 +89,7 @@ def test_a_preset_is_a_profile_of_the_env_too():
 
 
 def test_paper_makes_plain_parts():
-    config = PAPER.replace(env__num_envs=4, compute__num_threads=1)
+    config = make_config({"preset": "paper", "env.num_envs": 4, "compute.num_threads": 1})
     env = make_env(config)
     assert not any(isinstance(part, OverspeedTermination | RandomizedStepCounter) for part in env.transform)
     networks = make_run_networks(config, env)

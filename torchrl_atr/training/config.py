@@ -13,7 +13,6 @@ from typing import Any
 import torch
 
 from torchrl_atr._config_files import read_values
-from torchrl_atr._cpus import available_cpus
 from torchrl_atr._nested import build, from_text, merged
 from torchrl_atr._registry import import_modules
 from torchrl_atr._settings import ConfigError, Settings, setting
@@ -24,9 +23,6 @@ from torchrl_atr.envs.tasks import TASKS, Task, make_task
 from torchrl_atr.envs.tasks.overrides import override
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.training import settings as groups
-
-SEED_STRIDE = 1000
-"""Difference of the seeds of two processes that share a run."""
 
 
 @dataclass(frozen=True)
@@ -77,16 +73,6 @@ class TrainConfig(Settings):
         if files:  # workers must find them from any directory
             object.__setattr__(self, "task", dataclasses.replace(self.task, **files))
 
-    def replace(self, **values: Any) -> TrainConfig:
-        """Return the configuration with other values, by dotted name with ``__`` for each dot.
-
-        Example:
-            >>> TrainConfig().replace(ppo__gamma=0.9, seed=3).ppo.gamma
-            0.9
-        """
-        changed = merged({path.replace("__", "."): value for path, value in values.items()})
-        return build(TrainConfig, merged(self.to_dict(), changed))
-
     @property
     def compiles_networks(self) -> bool:
         """True if policy and losses are compiled too: only on a CPU, where it was measured."""
@@ -96,10 +82,6 @@ class TrainConfig(Settings):
     def captures_graphs(self) -> bool:
         """True if optimiser steps are captured as CUDA graphs: the effect of ``compiled`` for a learner on a GPU."""
         return self.compute.compiled and self.compute.device != "cpu"
-
-    def threads_each(self, processes: int) -> int:
-        """Return the number of physics threads of each of ``processes`` that share the CPUs."""
-        return max(1, (self.compute.num_threads or available_cpus()) // processes)
 
     def make_task(self, **overrides: Any) -> Task:
         """Return the task, with some arguments of its function replaced.

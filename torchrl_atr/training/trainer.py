@@ -15,7 +15,7 @@ from torchrl_atr._config_files import to_toml
 from torchrl_atr._files import atomic, say, sweep, write_json
 from torchrl_atr._interrupt import Interrupt
 from torchrl_atr._threads import TorchThreads
-from torchrl_atr.envs.models.identity import digest
+from torchrl_atr.envs.models.identity import describe, digest
 from torchrl_atr.training import env_access
 from torchrl_atr.training.assembly import make_policy, make_reward_schedule
 from torchrl_atr.training.callbacks import Callback, Callbacks
@@ -25,7 +25,7 @@ from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory, Parts
-from torchrl_atr.training.preparation import check_given, init_normalizers, model_of, trained_networks
+from torchrl_atr.training.preparation import check_given, init_normalizers, trained_networks
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import check_model
@@ -111,7 +111,8 @@ class Trainer:
         self.threads = TorchThreads(config.compute.torch_threads, adaptive=config.compute.torch_threads == 0)
         self.env = self._env_maker()
         networks = trained_networks(config, self.run, self.env, self.parts, state, other, replaced)
-        self._model = model_of(self.env)
+        scene = env_access.attribute(self.env, "scene")
+        self._model = None if scene is None else describe(scene)
         loss, schedule = self.parts.loss(config, networks), make_reward_schedule(self.env)
         # of the env below all transforms: one of them may leave the terms out of what is stored
         emitted = env_access.base_of(self.env).full_observation_spec.get("reward_terms", {})
@@ -155,9 +156,8 @@ class Trainer:
 
         SIGINT and SIGTERM end it after the iteration at hand, with a checkpoint.
 
-        Args:
-            on_iteration: called with each iteration's metrics, after they are logged; its time is not part of the
-                run's. If it returns True, the run ends.
+        ``on_iteration`` is called with each iteration's metrics, after they are logged; its time is not part of the
+        run's. If it returns True, the run ends.
 
         Returns:
             The signal that ended it early, or None.
