@@ -46,7 +46,6 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
                 )
             torch.testing.assert_close(log_prob, flat["action_log_prob"], rtol=0, atol=1e-5)
             learner.update(batch)
-            collection.publish()
             cell = (0, 0)  # far from any command: only an exchange can raise it elsewhere
             collection.curriculum.weights[cell] = 0.75
             collection.exchange()
@@ -104,7 +103,6 @@ def kill_a_worker(collection):
 def go_on(collection):
     while True:
         collection.collect()
-        collection.publish()
         collection.exchange()
 
 

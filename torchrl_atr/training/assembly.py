@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -128,11 +129,6 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
     spec = env.observation_spec
     size = spec["observation"].shape[-1]  # the command is the end of o_t
     exploration, output_map = _exploration(config.exploration, env.action_spec.shape[-1])
-    critic_inputs: list[NestedKey] = []
-    if config.ppo.privileged_critic:
-        critic_inputs = _optional(
-            "ppo.tracking_forecast", config.ppo.tracking_forecast, NetworkKeys.tracking_forecast, spec
-        )
     return make_networks(
         spec,
         env.action_spec,
@@ -147,7 +143,9 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
         actor_cells=config.ppo.actor_cells,
         critic_cells=config.ppo.critic_cells,
         privileged_critic=config.ppo.privileged_critic,
-        critic_inputs=critic_inputs,
+        critic_inputs=_input(config, "ppo.tracking_forecast", NetworkKeys.tracking_forecast, spec)
+        if config.ppo.privileged_critic
+        else [],
         reflections=env.base_env.reflections if config.ppo.symmetric else None,
     )
 
@@ -186,18 +184,12 @@ def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
 
 
 def _estimator_inputs(config: TrainConfig, spec: Composite) -> list[NestedKey]:
-    return _optional(
-        "estimator.dead_reckoning", config.estimator.dead_reckoning, NetworkKeys.dead_reckoned_velocity, spec
-    )
+    return _input(config, "estimator.dead_reckoning", NetworkKeys.dead_reckoned_velocity, spec)
 
 
-def _optional(setting: str, value: bool, key: NestedKey, spec: Composite) -> list[NestedKey]:
-    """Return the entry that a setting makes a network read, if it does.
-
-    Raises:
-        ConfigError: if the env has no such entry.
-    """
-    if not value:
+def _input(config: TrainConfig, setting: str, key: NestedKey, spec: Composite) -> list[NestedKey]:
+    """Return the entry that a setting makes a network read, if it does; ConfigError if the env has no such entry."""
+    if not operator.attrgetter(setting)(config):
         return []
     if key not in spec.keys(True, True):
         raise ConfigError(
@@ -246,11 +238,7 @@ def make_run_loss(
 
 
 def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
-    """Return the factor of each reward term by name, a function of the run's progress in [0, 1].
-
-    Args:
-        env: whose task may have a ``reward_schedule``.
-    """
+    """Return the factors of the reward terms of the env's task over a run: functions of its progress in [0, 1]."""
     return dict(getattr(attribute(env, "task"), "reward_schedule", {}))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -74,8 +73,7 @@ class Collection:
         try:
             with self._workers("could not be started"):
                 self.collector = self._make(make_env)
-                self.publish()
-                self._spread()
+                self.exchange()
                 self._batches = iter(self.collector)
         except CollectionError:
             self.shutdown()
@@ -116,20 +114,18 @@ class Collection:
             batch = next(self._batches)
         return batch.contiguous().flatten(0, 1) if batch.ndim == 3 else batch  # stacked lazily by worker
 
-    def publish(self) -> None:
-        """Send the learner's parameters to the workers."""
-        if self.remote:
-            with self._workers():
-                self.collector.update_policy_weights_()
-
     @torch.no_grad()
     def exchange(self) -> None:
-        """Merge the workers' curricula by elementwise maximum and send the result to all of them."""
-        if self.callable and self.curriculum is not None:
-            with self._workers():
+        """Send the learner's parameters to the workers, and to each the elementwise maximum of all curricula."""
+        if not self.remote:
+            return
+        with self._workers():
+            self.collector.update_policy_weights_()
+            if self.callable and self.curriculum is not None:
                 for weights in self.collector.get_distant_attr(f"{_CURRICULUM}.weights"):
                     self.curriculum.merge_(weights)
-                self._spread()
+                arguments = [(self.curriculum.weights.clone(),)] * self.config.compute.workers
+                self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
 
     @contextmanager
     def _workers(self, what: str = "failed") -> Iterator[None]:
@@ -144,11 +140,6 @@ class Collection:
                 f"collector={self.config.compute.collector!r}: a worker {what} ({first_line(error)}, see above); "
                 "continue from the last checkpoint with --resume"
             ) from error
-
-    def _spread(self) -> None:
-        if self.callable and self.curriculum is not None:
-            arguments = [(self.curriculum.weights.clone(),)] * self.config.compute.workers
-            self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
 
     @property
     def num_diverged(self) -> int | None:
@@ -232,15 +223,11 @@ def _engine(config: TrainConfig, threads: int) -> dict[str, Any]:
         cluster = {} if os.environ.get("RAY_ADDRESS") else here  # a cluster has its own resources
         options: dict[str, Any] = {"ray_init_config": cluster, "remote_configs": {"num_cpus": threads, "num_gpus": 0}}
     else:
-        options = {"launcher": "mp", "backend": "gloo", "tcp_port": _free_port()}
+        from torch.distributed.elastic.utils.distributed import get_free_port
+
+        options = {"launcher": "mp", "backend": "gloo", "tcp_port": get_free_port()}
     options["collector_kwargs"] = dict(_PLAIN)
     return {"backend": config.compute.collector, "total_frames": _ENDLESS, "backend_options": options}
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("localhost", 0))
-        return probe.getsockname()[1]
 
 
 def _worker_env(make_env: Callable[..., EnvBase], weights: Tensor | None, *, seed: int, **share: Any) -> EnvBase:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
+import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -202,7 +203,7 @@ def _problems(config: TrainConfig) -> Iterator[str]:
     """Yield a message for each conflict between settings, with the remedy."""
     values, compute = config.to_dict(), config.compute
     for low, high, gap, why in _ORDER:
-        one, other = (values[path.split(".")[0]][path.split(".")[1]] for path in (low, high))
+        one, other = operator.attrgetter(low, high)(config)
         if one > other - gap:
             yield f"{low}={one:g} must {'be below' if gap else 'not exceed'} {high}={other:g}: {why}"
     for path in ("ppo.actor_cells", "ppo.critic_cells", "roa.encoder_cells", "roa.latent_features"):

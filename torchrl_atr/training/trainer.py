@@ -231,7 +231,6 @@ class Trainer:
         batch = self.parts.callbacks.through("on_batch", self.collection.collect())
         collected = time.monotonic()
         metrics = {**batch_metrics(batch), **self.learner.update(batch)}
-        self.collection.publish()
         self.collection.exchange()
         metrics |= self.collection.metrics()
         metrics["std"] = float(self.learner.networks.exploration.std().detach().mean())
