@@ -26,7 +26,7 @@ class EnvConfig(Settings):
     num_envs: int = setting(512, within=(1, 1e6), alias="num-envs", paper=4096)
     """Robots simulated at once. 512 robots of 12 steps learn as much from a frame as 256 of 24, and collect faster."""
     episode_seconds: float = setting(60.0, within=(0.1, 1e6), unit="s", paper=10.0)
-    """Time limit of an episode in the end. Within a minute feet shift and estimates drift; short episodes hide it."""
+    """Time limit of an episode in the end. After a minute feet have shifted and estimates have drifted."""
     first_episode_seconds: float = setting(
         5.0, within=(0, 1e6), unit="s", off=0.0, addition="episodes that become longer during training"
     )
@@ -81,8 +81,7 @@ class TaskConfig(Settings):
     displaced_start: float = setting(0.3, within=(0, 1), off=0.0, addition="displaced starts")
     """Share of the episodes whose robot starts shifted and turned on the boards, as after a minute of pushes."""
     drifted_start: float = setting(0.3, within=(0, 1), off=0.0, addition="drifted starts")
-    """Share of the episodes whose dead-reckoned velocity starts wrong, as after minutes without a turn, which alone
-    shows the accelerometer's bias."""
+    """Share of the episodes whose dead-reckoned velocity starts wrong, as after minutes without a turn."""
     steering_weight_peak: float = setting(
         3.0, within=(0, 100), off=1.0, addition="schedule of the steering reward's weight"
     )
