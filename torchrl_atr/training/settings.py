@@ -227,7 +227,8 @@ class ROAConfig(Settings):
     coeff: float = setting(0.2, within=(0, 1e3))
     """Weight λ of Eq. 15. As in the paper."""
     ramp: bool = setting(False, question="A23", legged_gym=True)
-    """Grow λ linearly from 0 over the run. Open whether it is constant or ramped; Extreme Parkour ramps it up."""
+    """Grow λ linearly from 0 over the run. Open whether λ = 0.2 is constant or the end of a ramp. Constant; Extreme
+    Parkour ramps it up."""
     act_source: ActSourceName = setting(
         "mixed", question="A24", off="privileged", addition="acting on estimates in training"
     )
