@@ -25,7 +25,7 @@ from benchmarks.timing import Contender, Key, interleave, medians
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._files import say
 from torchrl_atr.envs import ROBOTS
-from torchrl_atr.envs.models import DESIGNS, Scene, build_scene
+from torchrl_atr.envs.models import TRANSPORTER_DESIGNS, Scene, build_scene
 from torchrl_atr.envs.models.contacts import CONTACTS, ContactModel
 from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
 from torchrl_atr.envs.physics.batch import BatchEngine
@@ -252,7 +252,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     setup = {**trial, "robots": arguments.robots, "rounds": arguments.rounds}
     started, rows = time.monotonic(), []
     for robot in ROBOTS.names():
-        for transporter in DESIGNS:
+        for transporter in TRANSPORTER_DESIGNS:
             for contacts in MODELS:
                 found = creep(robot, transporter, contacts, **trial)
                 model = describe(contacts)

@@ -18,7 +18,7 @@ from benchmarks import results
 from benchmarks.every_pair import train
 from torchrl_atr._files import say, write_json
 from torchrl_atr.evaluation import evaluate_tracking, tracking_metrics
-from torchrl_atr.training import DEPLOYED, load_run, make_config, make_env
+from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_config, make_env
 from torchrl_atr.training.provenance import cores, machine
 
 FIGURES = {
@@ -37,7 +37,9 @@ def evaluate(run: Path) -> dict[str, Any]:
     """Evaluate a run: figures of the deployed policy, those of a board that never moves, and the run's provenance."""
     config, env, networks, state = load_run(run, num_envs=1)
     env.close()
-    result = evaluate_tracking(networks.deployed_policy(), partial(make_env, config, **DEPLOYED), seed=config.seed + 1)
+    result = evaluate_tracking(
+        networks.deployed_policy(), partial(make_env, config, **DEPLOYMENT_OVERRIDES), seed=config.seed + 1
+    )
     metrics = tracking_metrics(result)
     still = {name: metrics["do_nothing"][name] for name in FIGURES}
     return {**{name: metrics[name] for name in FIGURES}, "still": still, "n": metrics["n"], "run": state["provenance"]}

@@ -24,12 +24,12 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from benchmarks.results import exit_code, refuse_other_settings
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr.envs import ROBOTS
-from torchrl_atr.envs.models import DESIGNS
+from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import command_owner
 from torchrl_atr.evaluation.tracking import MakeEnv
 from torchrl_atr.training import (
-    DEPLOYED,
+    DEPLOYMENT_OVERRIDES,
     TrainConfig,
     Trainer,
     load_checkpoint,
@@ -40,7 +40,7 @@ from torchrl_atr.training import (
 from torchrl_atr.training.checkpoint import NAME as CHECKPOINT
 from torchrl_atr.training.provenance import cores
 
-PAIRS = tuple(f"{robot}:{transporter}" for robot in ROBOTS.names() for transporter in DESIGNS)
+PAIRS = tuple(f"{robot}:{transporter}" for robot in ROBOTS.names() for transporter in TRANSPORTER_DESIGNS)
 COMPARISON = "comparison.json"
 ROBOTS_COMPARED, SECONDS = 256, 10.0
 
@@ -136,7 +136,7 @@ def compare_run(folder: Path) -> dict[str, Any]:
         "run": state["provenance"],
         "comparison": {"robots": ROBOTS_COMPARED, "seconds": SECONDS, "seed": seed, "command_box": box},
         "policy_reads": sorted(policy.in_keys),
-        **compare(policy, partial(make_env, config, **DEPLOYED), box, ROBOTS_COMPARED, SECONDS, seed),
+        **compare(policy, partial(make_env, config, **DEPLOYMENT_OVERRIDES), box, ROBOTS_COMPARED, SECONDS, seed),
     }
 
 

@@ -19,7 +19,7 @@ from tensordict import TensorDict
 from benchmarks import results
 from torchrl_atr._files import say
 from torchrl_atr.envs import ROBOTS, RidingEnv, get_interpretation
-from torchrl_atr.envs.models import DESIGNS
+from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.training.provenance import machine
 
@@ -48,8 +48,10 @@ def survival(
         seed: of intrinsic parameters and initial states.
         num_threads: of the physics.
     """
-    readings = get_interpretation("default", scaled_springs=scaled_springs)
-    env = RidingEnv(robot, transporter, robots, profile=readings, pushes=False, seed=seed, num_threads=num_threads)
+    interpretation = get_interpretation("default", scaled_springs=scaled_springs)
+    env = RidingEnv(
+        robot, transporter, robots, profile=interpretation, pushes=False, seed=seed, num_threads=num_threads
+    )
     if centred:
         state = env.get_state()
         x_int = state["x_int"].clone()
@@ -66,7 +68,7 @@ def survival(
 def cases() -> Iterator[dict[str, Any]]:
     """Yield the measured cases: every pair, centred and not, the large robots on both kinds of springs."""
     for robot in ROBOTS.names():
-        for transporter in DESIGNS:
+        for transporter in TRANSPORTER_DESIGNS:
             for scaled in (True, False) if ROBOTS.get(robot).group == "G2" else (True,):
                 for centred in (True, False):
                     yield {

@@ -19,7 +19,7 @@ from typing import Any
 from benchmarks import results
 from torchrl_atr._files import say, write_json
 from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics
-from torchrl_atr.training import DEPLOYED, TrainConfig, Trainer, load_checkpoint, make_config, make_env
+from torchrl_atr.training import DEPLOYMENT_OVERRIDES, TrainConfig, Trainer, load_checkpoint, make_config, make_env
 from torchrl_atr.training.checkpoint import NAME
 from torchrl_atr.training.provenance import cores, machine
 
@@ -65,7 +65,7 @@ def evaluate(trainer: Trainer, config: TrainConfig, robots_per_command: int) -> 
     networks = trainer.learner.deployed
     result = evaluate_tracking(
         networks.deployed_policy(),
-        partial(make_env, config, **DEPLOYED),
+        partial(make_env, config, **DEPLOYMENT_OVERRIDES),
         command_grid(*GRID),
         robots_per_command=robots_per_command,
         seed=config.seed + 1,

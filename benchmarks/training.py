@@ -12,7 +12,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.stopwatch import Stopwatch
 from benchmarks.summary import TRAINED
 from benchmarks.timing import Contender, Key
-from torchrl_atr.training import TrainConfig, Trainer
+from torchrl_atr.training import TrainConfig, Trainer, make_config
 
 RIDE = Path(__file__).parents[1] / "results" / "a1-single_board"
 """Run whose robots rarely fall, as in most iterations of any run; untrained ones fall within seconds."""
@@ -29,7 +29,7 @@ class TrainingLoop:
 
     def __init__(self, config: TrainConfig, folder: Path, riding: bool = False) -> None:
         self.config, self.riding = config, riding
-        self.trainer = Trainer(config, folder, start=RIDE if riding else None)
+        self.trainer = Trainer(config, folder, begin_from=RIDE if riding else None)
         self.learner, self.env = self.trainer.learner, self.trainer.env
         self.collection = self.trainer.collection
 
@@ -56,7 +56,7 @@ def flops_per_frame(config: TrainConfig, folder: Path) -> float:
         config: of the run; it runs without compilation, since torch counts eager operations only.
         folder: for the trainer's files.
     """
-    loop = TrainingLoop(config.replace(compute__compiled=False), folder)
+    loop = TrainingLoop(make_config(config.to_dict(), {"compute.compiled": False}), folder)
     batch = loop.collection.collect()
     with torch.no_grad(), FlopCounterMode(display=False) as acting:
         loop.collection.policy(batch[:, 0].clone())

@@ -26,7 +26,7 @@ from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks.state import GRAVITY
 from torchrl_atr.evaluation import evaluate_tracking, tracking_metrics
 from torchrl_atr.evaluation.access import deterministic
-from torchrl_atr.training import DEPLOYED, TrainConfig, load_run, make_config, make_env
+from torchrl_atr.training import DEPLOYMENT_OVERRIDES, TrainConfig, load_run, make_config, make_env
 from torchrl_atr.training.provenance import cores, machine
 
 SECONDS, SETTLE = 60.0, 5.0
@@ -52,7 +52,7 @@ def evaluate(run: Path) -> dict[str, Any]:
 def _tracking(policy: TensorDictModuleBase, config: TrainConfig, randomization: str) -> dict[str, Any]:
     result = evaluate_tracking(
         policy,
-        partial(make_env, config, randomization=randomization, **DEPLOYED),
+        partial(make_env, config, randomization=randomization, **DEPLOYMENT_OVERRIDES),
         (SPEEDS, YAW_RATES),
         ROBOTS,
         SECONDS,
@@ -78,7 +78,7 @@ def measure_gait(policy: TensorDictModuleBase, config: TrainConfig, speed: float
         ``cost_of_transport``, power over m g v; ``duty``, share of time that a foot has contact; ``swing_height``,
         highest point of a foot in a stride, m; ``air_time``, s.
     """
-    env = make_env(config, num_envs=GAIT_ROBOTS, seed=config.seed + 2, **DEPLOYED)
+    env = make_env(config, num_envs=GAIT_ROBOTS, seed=config.seed + 2, **DEPLOYMENT_OVERRIDES)
     env.curriculum.pin((speed, 0.0))
     base, samples = env.base_env, []
     with deterministic(policy):

@@ -82,14 +82,14 @@ def plate_tilt(c):
 
 def balance(robot="a1", profile="default"):
     """Return the task."""
-    walker, readings = get_robot(robot), get_interpretation(profile)
+    walker, interpretation = get_robot(robot), get_interpretation(profile)
     grid = CommandGrid((0.2, 0.1), (0.1, 0.1), (0.1, 0.1), (0.1, 0.1))
     told = {f"at_{axis}": RewardTerm(partial(near, i), 4.0) for i, axis in enumerate("xy")}
     return Task(
         name="balance",
         robot=walker,
         support=Plate(),
-        hook=Rocking,
+        substep_hook=Rocking,
         command=CommandSpace(("x", "y"), ("m", "m"), grid, mirror=(1.0, -1.0)),
         observations={
             "proprio": {**PROPRIO, "place": ObservationTerm(place, mirror=(1.0, -1.0))},
@@ -105,10 +105,10 @@ def balance(robot="a1", profile="default"):
             "effort": RewardTerm(effort, -1e-4),
             "termination": RewardTerm(fallen, -10.0),
         },
-        intrinsics=robot_parameters(walker, readings),
+        intrinsics=robot_parameters(walker, interpretation),
         terminations={"tilted": tilted, "too_low": too_low},
-        tracking=tuple(told),
-        readings=readings,
+        tracking_rewards=tuple(told),
+        interpretation=interpretation,
         arguments={"robot": walker.name},
     )
 

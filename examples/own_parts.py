@@ -19,7 +19,7 @@ from torchrl.record.loggers import CSVLogger
 
 from torchrl_atr.envs import RIDING_REWARDS, RewardTerm, make_riding_env
 from torchrl_atr.evaluation import evaluate_tracking
-from torchrl_atr.modules import RidingNetworks, make_networks
+from torchrl_atr.modules import ROANetworks, make_networks
 from torchrl_atr.training import Callback, Trainer, load_checkpoint, load_run, make_config
 
 
@@ -34,7 +34,7 @@ def make_env(num_envs: int, seed: int, num_threads: int | None = None, **more: A
     return make_riding_env("go1", "two_board", num_envs, seed=seed, num_threads=num_threads, rewards=rewards, **more)
 
 
-def make_small_networks(env: EnvBase) -> RidingNetworks:
+def make_small_networks(env: EnvBase) -> ROANetworks:
     """Return smaller networks than Table I's."""
     return make_networks(
         env.observation_spec, env.action_spec, estimator="mlp", actor_cells=(64, 32), critic_cells=(64, 32)

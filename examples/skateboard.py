@@ -5,7 +5,7 @@ Run it:  torchrl-atr train --import examples.skateboard --transporter skateboard
 
 import torch
 
-from torchrl_atr.envs.models import DESIGNS, TRANSPORTERS, Board, Design, Hinge, TransporterSpec
+from torchrl_atr.envs.models import TRANSPORTER_DESIGNS, TRANSPORTERS, Board, Hinge, TransporterDesign, TransporterSpec
 
 WHEELBASE, STEERING = 0.6, 0.8
 """Distance of the trucks, m, and their turn per radian of roll, rad."""
@@ -13,7 +13,7 @@ RESPONSE = 0.1
 """Time constant with which the yaw rate follows the trucks, s."""
 
 
-def skate(tilt, speeds, transporter, readings):
+def skate(tilt, speeds, transporter, interpretation):
     """Compute the drive's accelerations: none forward; in yaw, ω follows v tan(-k θ_x) / L.
 
     A robot cannot push itself off here, so the board gets its speed from pushes or a moving start.
@@ -25,11 +25,11 @@ def skate(tilt, speeds, transporter, readings):
     return torch.stack([torch.zeros_like(wanted), (wanted - speeds[:, 1]) / RESPONSE], -1)
 
 
-SKATEBOARD = Design(
+SKATEBOARD = TransporterDesign(
     boards=(Board("deck", 0.0, 1.0, (Hinge("truck_roll", (1.0, 0.0, 0.0), gain=0),)),),
     driving=((0.0,), (1.0,)),  # no forward tilt; the steering tilt is the one hinge's angle
     attitude=((0.0,), (1.0,)),  # it does not pitch; it rolls with the hinge
     drive=skate,
 )
-DESIGNS.register("skateboard", SKATEBOARD)
+TRANSPORTER_DESIGNS.register("skateboard", SKATEBOARD)
 TRANSPORTERS.register("skateboard", TransporterSpec("skateboard", SKATEBOARD, (0.9, 0.5, 0.05), mass=5.0))

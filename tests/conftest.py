@@ -6,7 +6,7 @@ import pytest
 import torch
 from torchrl.data import Composite, Unbounded
 
-from torchrl_atr.modules import RidingNetworks, make_networks
+from torchrl_atr.modules import ROANetworks, make_networks
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def spec() -> Composite:
 
 
 @pytest.fixture
-def networks(spec: Composite) -> RidingNetworks:
+def networks(spec: Composite) -> ROANetworks:
     torch.manual_seed(0)
     nets = make_networks(spec, Unbounded((5, 2)), latent_features=4, actor_cells=(16,), critic_cells=(16,))
     nets.update_normalizers(spec.rand() * 3 + 1)

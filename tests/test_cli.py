@@ -10,7 +10,7 @@ import pytest
 
 from torchrl_atr import evaluation
 from torchrl_atr.cli import main
-from torchrl_atr.modules import ClippedPolicy, CommandRange
+from torchrl_atr.modules import CommandClippedPolicy, CommandRange
 from torchrl_atr.training import load_run, read_config
 
 TINY = ["--num-envs", "2", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
@@ -141,7 +141,7 @@ def test_commands_are_clipped_to_the_range_that_an_evaluation_recorded(tmp_path,
     assert main([*few, "--command-range", "record"]) == 0
     assert "from now on commands are clipped to it" in capsys.readouterr().out
     assert applied() is None
-    assert isinstance(load_run(run)[2].deployed_policy(), ClippedPolicy)
+    assert isinstance(load_run(run)[2].deployed_policy(), CommandClippedPolicy)
     assert main(few) == 0
     assert applied() == dataclasses.asdict(CommandRange(0.5, 0.2, 0.1))
     assert main([*few, "--command-range", "record"]) == 0

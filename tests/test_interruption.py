@@ -91,7 +91,7 @@ def test_a_video_that_is_stopped_leaves_nothing(run, tmp_path, number, group):
 @pytest.mark.parametrize("suffix", ["mp4", "gif"])
 def test_a_replay_that_is_stopped_between_two_steps_leaves_nothing(tmp_path, monkeypatch, capsys, suffix):
     pytest.importorskip("mediapy")
-    module = sys.modules[ReplayedStep.__module__]  # evaluation.replay is the function
+    module = sys.modules[ReplayedStep.__module__]
     steps = [ReplayedStep(i, 0.0, 0.0, 0.0, 0.0, 0.0, False) for i in range(5)]
     monkeypatch.setattr(module, "load_dump", lambda path: {"reason": ""})
     monkeypatch.setattr(module, "_scene", lambda *_: None)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from torchrl_atr.evaluation import evaluate_tracking
-from torchrl_atr.training import DEPLOYED, load_run, make_env
+from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
 
 RUNS = sorted(path.parent for path in Path(__file__).parents[1].glob("results/*/checkpoint.pt"))
 
@@ -16,7 +16,7 @@ RUNS = sorted(path.parent for path in Path(__file__).parents[1].glob("results/*/
 @pytest.mark.parametrize("run", RUNS, ids=lambda run: run.name)
 def test_a_published_run_loads_and_rides(run):
     config, _, networks, _ = load_run(run, num_envs=1)
-    make = partial(make_env, config, **DEPLOYED)
+    make = partial(make_env, config, **DEPLOYMENT_OVERRIDES)
     result = evaluate_tracking(
         networks.deployed_policy(), make, ([-1.0, 1.0], [0.0]), 12, seconds=4.0, settle=3.0, seed=7
     )

@@ -24,12 +24,12 @@ def robots() -> Iterator[str]:
     import mujoco
 
     from torchrl_atr.envs import ROBOTS
-    from torchrl_atr.envs.models import LEGS, load_robot
+    from torchrl_atr.envs.models import LEGS, load_robot_model
 
     rows = [["robot", "group", "mass, kg", "h_des, m", "kp", "kd", f"joints of {LEGS[0]}", f"feet {', '.join(LEGS)}"]]
     for name in ROBOTS.names():
         robot = ROBOTS.get(name)
-        mass = mujoco.mj_getTotalmass(load_robot(robot)[1])
+        mass = mujoco.mj_getTotalmass(load_robot_model(robot)[1])
         figures = [f"{mass:.2f}", f"{robot.standing_height:.2f}", f"{robot.kp:g}", f"{robot.kd:g}"]
         feet = " ".join("+".join(names) for names in robot.foot_names)
         rows.append([name, robot.group, *figures, " ".join(robot.joints[:3]), feet])
@@ -40,7 +40,7 @@ def transporters() -> Iterator[str]:
     """Yield the registered transporters with their measures; short names mean the one of the robot's size class."""
     from torchrl_atr.envs import TRANSPORTERS
     from torchrl_atr.envs.interpretation import Interpretation
-    from torchrl_atr.envs.models import DESIGNS
+    from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 
     rows = [["transporter", "size, m", "mass, kg", "boards", "hinges", "springs, N m/rad"]]
     for name in TRANSPORTERS.names():
@@ -51,7 +51,7 @@ def transporters() -> Iterator[str]:
         rows.append([name, size, f"{spec.mass:g}", str(len(spec.design.boards)), hinges, springs])
     yield from _table(rows)
     yield ""
-    yield f"{' or '.join(DESIGNS)} alone means the one of the robot's size class (group)."
+    yield f"{' or '.join(TRANSPORTER_DESIGNS)} alone means the one of the robot's size class (group)."
 
 
 def estimators() -> Iterator[str]:
@@ -160,7 +160,7 @@ def additions() -> Iterator[str]:
     from torchrl_atr.training import additions as known
 
     rows = [["addition", "setting", "off (paper)", "default", "what it is, and why"]]
-    return _table([*rows, *([each.what, each.switch, _value(each.off), _value(each.on), each.why] for each in known())])
+    return _table([*rows, *([each.addition, each.path, *_off_and_on(each), each.text] for each in known())])
 
 
 def questions() -> Iterator[str]:
@@ -182,7 +182,7 @@ def settings_page() -> Iterator[str]:
     yield from ("", "| addition | setting | off (`paper`) | default | what it is, and why |")
     yield "| --- | --- | --- | --- | --- |"
     for each in known():
-        yield f"| {each.what} | `{each.switch}` | {_value(each.off)} | {_value(each.on)} | {_cell(each.why)} |"
+        yield f"| {each.addition} | `{each.path}` | {' | '.join(_off_and_on(each))} | {_cell(each.text)} |"
     group = ""
     for path, declaration in _settings().items():
         own = path.rpartition(".")[0] or "run"
@@ -194,6 +194,10 @@ def settings_page() -> Iterator[str]:
         paper = paper if paper == default else f"**{paper}**"
         text = _cell(declaration.text)
         yield f"| `{path.rpartition('.')[2]}` | {default} | {paper} | {declaration.range} | {text} |"
+
+
+def _off_and_on(addition: Setting) -> tuple[str, str]:
+    return _value(addition.value_in("paper")), _value(addition.default)
 
 
 def _cell(text: str) -> str:
@@ -218,8 +222,8 @@ Every run writes `config.toml`, all of its settings with what they are: edit it 
 Its settings win over a preset's.
 
 The preset `paper` is the paper's own method. It answers the open questions so that the paper's text comes true
-([readings.md](readings.md)), has the printed rewards (r8 included), 4,096 robots, episodes of 10 s with a change of
-command at 5 s and pushes at 3, 6 and 9 s, and Extreme Parkour's hyper-parameters of PPO where the paper
+([open_questions.md](open_questions.md)), has the printed rewards (r8 included), 4,096 robots, episodes of 10 s with a
+change of command at 5 s and pushes at 3, 6 and 9 s, and Extreme Parkour's hyper-parameters of PPO where the paper
 gives none. Four things are neither the paper's nor switched off, since something has to take their place: networks read
 observations in standard deviations (a running normaliser), the rate of the policy follows the KL divergence (as in
 legged_gym), critic and estimators have optimisers of their own, and steps that are not finite are left out.

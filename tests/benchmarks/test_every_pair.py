@@ -11,9 +11,9 @@ from tensordict.nn import TensorDictModule
 
 from benchmarks import every_pair
 from torchrl_atr.envs import make_riding_env
-from torchrl_atr.training import DEPLOYED
+from torchrl_atr.training import DEPLOYMENT_OVERRIDES
 
-make_env = partial(make_riding_env, "a1", "single_board", num_threads=1, **DEPLOYED)
+make_env = partial(make_riding_env, "a1", "single_board", num_threads=1, **DEPLOYMENT_OVERRIDES)
 BOX = (1.0, 0.3)
 RUN = {"frames": 128, "minutes": 10.0, "hardware": {"cpus": 2, "processor": "Some CPU"}}
 

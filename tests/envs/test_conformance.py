@@ -13,12 +13,12 @@ from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from torchrl_atr.envs import ROBOTS, QuadrupedEnv, RidingEnv
-from torchrl_atr.envs.models import DESIGNS
+from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 from torchrl_atr.envs.tasks import TASKS, StepContext, make_task
 
 OURS = [name for name in TASKS.names() if TASKS.get(name).__module__.startswith("torchrl_atr.")]
 """Tests of other files register tasks of their own."""
-PARTS = {"robot": ROBOTS.names(), "transporter": tuple(DESIGNS)}
+PARTS = {"robot": ROBOTS.names(), "transporter": tuple(TRANSPORTER_DESIGNS)}
 STEPS = 500
 
 
@@ -112,7 +112,7 @@ def test_every_episode_starts_standing_on_what_carries_it(env):
             assert (relative < torch.tensor(env.task.support.size) / 2).all()
         reading = env.runner.observe(torch.zeros(*env.batch_size, 2))
         state = env.runner.terms.extractor.read()
-        context = StepContext(state, *[td["command"]] * 3, None, env.scene, env.task.readings)
+        context = StepContext(state, *[td["command"]] * 3, None, env.scene, env.task.interpretation)
         assert not [name for name, ends in env.task.terminations.items() if ends(context).any()]
         assert (reading["proprio"][:, 6:8].abs() < 0.1).all()  # roll and pitch
         height = state.position[:, 2] - env.task.support.height

@@ -13,7 +13,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs import ROBOTS, QuadrupedEnv, RidingEnv, make_task
 from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.tasks import ObservationTerm, riding, walking
-from torchrl_atr.evaluation import replay
+from torchrl_atr.evaluation import replay_failure
 
 BAD, STEP = 2, 7
 OTHERS = [0, 1, 3]
@@ -108,7 +108,7 @@ def test_a_replay_is_what_happened(make_task, tmp_path, monkeypatch):
     env = QuadrupedEnv(make_task(), 4, seed=0, dump_dir=tmp_path, num_threads=1)
     wild = ride(env, monkeypatch, spoil_simulation)
     (path,) = tmp_path.iterdir()
-    steps = list(replay(path))
+    steps = list(replay_failure(path))
     assert [step.step for step in steps] == list(range(1, STEP + 2))
     assert [step.diverged for step in steps] == [False] * STEP + [True]
     for index, step in enumerate(steps[:-1]):
@@ -121,7 +121,7 @@ def test_the_recorder_forgets_what_is_old(tmp_path, monkeypatch):
     ride(env, monkeypatch, spoil_simulation)
     (path,) = tmp_path.iterdir()
     assert len(load_dump(path)["actions"]) == 3
-    assert [step.step for step in replay(path)] == [STEP - 1, STEP, STEP + 1]
+    assert [step.step for step in replay_failure(path)] == [STEP - 1, STEP, STEP + 1]
 
 
 def test_an_action_that_is_no_number_is_refused_by_name():
@@ -145,15 +145,15 @@ def test_a_dump_of_another_robot_of_that_name_is_refused(tmp_path, monkeypatch):
     (path,) = tmp_path.iterdir()
     named = r"another 'a1' on 'single_board_g1' than the ones known here \(the robot's kp: 50 then, 40 now"
     with pytest.raises(InputError, match=named):
-        list(replay(path))
+        list(replay_failure(path))
 
 
 def test_what_is_no_dump_is_named(tmp_path):
     with pytest.raises(InputError, match="there is no dump at"):
-        list(replay(tmp_path / "none.pt"))
+        list(replay_failure(tmp_path / "none.pt"))
     torch.save({"weights": torch.zeros(2)}, tmp_path / "other.pt")
     with pytest.raises(InputError, match=r"other\.pt is not a dump of a diverged simulation"):
-        list(replay(tmp_path / "other.pt"))
+        list(replay_failure(tmp_path / "other.pt"))
 
 
 def test_a_failure_of_a_task_of_ones_own_is_replayed_whatever_its_arguments(tmp_path):
@@ -164,6 +164,6 @@ def test_a_failure_of_a_task_of_ones_own_is_replayed_whatever_its_arguments(tmp_
     for spoilt in (False, True):
         env.engine.qvel[:, 0] *= float("nan") if spoilt else 1.0
         td = env.step(td.set("action", torch.zeros(2, 12)))["next"]
-    *_, last = replay(next(tmp_path.iterdir()))
+    *_, last = replay_failure(next(tmp_path.iterdir()))
     assert last.diverged
     assert last.step == 2

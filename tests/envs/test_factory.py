@@ -94,10 +94,13 @@ def without_speeds():
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"tracking": ("forward_comand", "turning_command")}, "'forward_comand', which is not among its rewards"),
-        ({"tracking": ("forward_command", "slip")}, "'slip', which has no positive weight"),
-        ({"tracking": ("forward_command",)}, "name one reward term for each of speed, yaw_rate"),
-        ({"tracking": ()}, "name one reward term for each of speed, yaw_rate"),
+        (
+            {"tracking_rewards": ("forward_comand", "turning_command")},
+            "'forward_comand', which is not among its rewards",
+        ),
+        ({"tracking_rewards": ("forward_command", "slip")}, "'slip', which has no positive weight"),
+        ({"tracking_rewards": ("forward_command",)}, "name one reward term for each of speed, yaw_rate"),
+        ({"tracking_rewards": ()}, "name one reward term for each of speed, yaw_rate"),
         ({"command": replace(WALKING.command, grid=None)}, "has no grid to be drawn from"),
         ({"observations": without_speeds()}, "it observes no 'speeds', which overspeed_margin needs"),
     ],

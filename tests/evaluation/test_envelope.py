@@ -73,7 +73,7 @@ def test_other_tasks_have_none():
     task = riding()
     assert Envelope.of(walking()) is None
     without = {name: term for name, term in task.rewards.items() if name != "steering_command"}
-    assert Envelope.of(task.replace(rewards=without, tracking=())) is None
+    assert Envelope.of(task.replace(rewards=without, tracking_rewards=())) is None
 
 
 def test_envelope_of_an_env_under_its_transforms():

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchrl_atr.evaluation import command_area, command_grid, do_nothing, tracking_metrics
+from torchrl_atr.evaluation import command_area, command_grid, do_nothing_baseline, tracking_metrics
 
 
 def test_a_perfect_tracker_scores_full_marks(evaluate):
@@ -130,7 +130,7 @@ def test_json_knows_no_nan(evaluate, random_result):
 
 
 def test_do_nothing_keeps_the_shape(random_result):
-    still = do_nothing(random_result)
+    still = do_nothing_baseline(random_result)
     assert still.survived.all()
     assert still.rms_yaw_error.shape == random_result.rms_yaw_error.shape
     assert still.estimators is None

@@ -8,7 +8,7 @@ import pytest
 
 from torchrl_atr._files import atomic
 from torchrl_atr.evaluation import (
-    EstimatorErrors,
+    EstimationErrors,
     load_tracking,
     save_tracking,
     tracking_metrics,
@@ -23,14 +23,14 @@ def full_result(random_result):
     shape = random_result.fall_time.shape
     errors = np.random.default_rng(0).random((*shape, 2))
     components = Component("a", "a", "m"), Component("b[0]", "b x", None)
-    estimators = EstimatorErrors(np.full(shape, 3.0), components, errors, errors**2)
+    estimators = EstimationErrors(np.full(shape, 3.0), components, errors, errors**2)
     return replace(random_result, estimators=estimators)
 
 
 def _assert_same(ours, theirs):
     for field in fields(ours):
         a, b = getattr(ours, field.name), getattr(theirs, field.name)
-        if isinstance(a, EstimatorErrors):
+        if isinstance(a, EstimationErrors):
             _assert_same(a, b)
         elif isinstance(a, np.ndarray):
             np.testing.assert_array_equal(a, b)

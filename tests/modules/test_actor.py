@@ -1,4 +1,4 @@
-"""The actor beyond Table I: products of observations as inputs, and a map of its outputs."""
+"""The actor beyond Table I: input_products of observations as inputs, and a map of its outputs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from torchrl_atr.modules import ActorBackbone, RunningNormalizer
 from torchrl_atr.modules.actor import PRODUCT_SCALE
 
 
-def backbone(products: list[tuple[int, int]] = (), **options) -> ActorBackbone:
+def backbone(input_products: list[tuple[int, int]] = (), **options) -> ActorBackbone:
     torch.manual_seed(0)
-    return ActorBackbone(RunningNormalizer(3), RunningNormalizer(1), 1, 2, cells=(), products=products, **options)
+    return ActorBackbone(
+        RunningNormalizer(3), RunningNormalizer(1), 1, 2, cells=(), input_products=input_products, **options
+    )
 
 
 def test_a_product_is_one_more_input_with_the_sign_of_both():

@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torchrl.data import Composite, Unbounded
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.modules import COMMAND_RANGE, ClippedPolicy, CommandRange, make_networks
+from torchrl_atr.modules import COMMAND_RANGE_FILE, CommandClippedPolicy, CommandRange, make_networks
 
 LIMITS = CommandRange(max_speed=4.0, max_yaw_rate=1.0, max_lateral_acceleration=2.0)
 
@@ -57,10 +57,10 @@ def test_impossible_bounds_are_named(bounds):
 def test_a_range_is_kept_in_a_folder(tmp_path):
     assert CommandRange.load(tmp_path) is None
     for limits in (LIMITS, CommandRange(4.0, 1.0)):
-        assert limits.save(tmp_path) == tmp_path / COMMAND_RANGE
+        assert limits.save(tmp_path) == tmp_path / COMMAND_RANGE_FILE
         assert CommandRange.load(tmp_path) == limits
     for text in ("{", json.dumps({"max_speed": 1.0}), json.dumps({"max_speed": -1.0, "max_yaw_rate": 1.0}), "[]"):
-        (tmp_path / COMMAND_RANGE).write_text(text)
+        (tmp_path / COMMAND_RANGE_FILE).write_text(text)
         with pytest.raises(InputError, match=r"is no range of commands .* remove it, or record it anew"):
             CommandRange.load(tmp_path)
 
@@ -73,7 +73,7 @@ def test_deployed_policy_acts_as_if_the_clipped_command_had_been_given():
     td = TensorDict({"observation": 9 * torch.randn(8, 5), "history": 9 * torch.randn(8, 4, 5)}, [8])
     networks.command_range = LIMITS
     clipped = networks.deployed_policy()
-    assert isinstance(clipped, ClippedPolicy)
+    assert isinstance(clipped, CommandClippedPolicy)
     assert (set(clipped.in_keys), set(clipped.out_keys)) == (set(free.in_keys), set(free.out_keys))
     told = td.clone()
     for key in ("observation", "history"):

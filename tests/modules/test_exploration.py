@@ -13,9 +13,9 @@ from torchrl_atr.modules import (
     Exploration,
     RotatedNormal,
     RunningNormalizer,
-    correlate,
     hadamard_leg_basis,
     make_actor,
+    with_correlated_noise,
 )
 
 INPUTS = torch.zeros(1, 5), torch.zeros(1, 3), torch.zeros(1, 4)
@@ -144,7 +144,7 @@ def test_correlate_keeps_the_actors_distribution():
     td = TensorDict(observation=torch.randn(6, 5), act={"intrinsic": torch.randn(6, 3), "extrinsic": torch.randn(6, 4)})
     td.batch_size = [6]
     with set_exploration_type(ExplorationType.RANDOM), torch.no_grad():
-        out = correlate(actor, 0.9)(td)
+        out = with_correlated_noise(actor, 0.9)(td)
     torch.testing.assert_close(out["action_log_prob"], actor.get_dist(td).log_prob(out["action"]))
 
 

@@ -9,14 +9,14 @@ from torchrl.data import Composite, Unbounded
 
 from torchrl_atr.modules import (
     ActorBackbone,
+    EquivariantLinear,
     Exploration,
     IntrinsicEncoder,
     NetworkKeys,
     RunningNormalizer,
-    SymmetricLinear,
+    equivariant_mlp,
     hadamard_leg_basis,
     make_networks,
-    symmetric_mlp,
 )
 from torchrl_atr.modules.symmetry import check_reflection, halves_swapped
 
@@ -48,7 +48,7 @@ def networks(**options):
         "output_map": hadamard_leg_basis().T,
         **options,
     }
-    nets = make_networks(SPEC, Unbounded((12,)), products=[(3, 4)], reflections=MIRROR, **options)
+    nets = make_networks(SPEC, Unbounded((12,)), input_products=[(3, 4)], reflections=MIRROR, **options)
     data = SPEC.expand(64).rand()
     data["observation"] += torch.tensor([3.0, 0.0, 1.0, 0.0, -1.0])  # no symmetric statistics of their own
     nets.update_normalizers(data)
@@ -75,7 +75,7 @@ def mirrored(data: TensorDict) -> TensorDict:
 )
 def test_a_layer_commutes_with_reflections(inputs, outputs):
     torch.manual_seed(0)
-    layer, x = SymmetricLinear(inputs, outputs), torch.randn(7, len(inputs))
+    layer, x = EquivariantLinear(inputs, outputs), torch.randn(7, len(inputs))
     assert layer(x).shape == (7, len(outputs))
     torch.testing.assert_close(layer(x @ inputs.T), layer(x) @ outputs.T)
 
@@ -83,7 +83,7 @@ def test_a_layer_commutes_with_reflections(inputs, outputs):
 def test_a_layer_is_any_that_commutes_and_treats_sides_apart():
     torch.manual_seed(0)
     inputs, outputs = reflection_of(5), halves_swapped(8)
-    layer, x = SymmetricLinear(inputs, outputs), torch.randn(200, 5)
+    layer, x = EquivariantLinear(inputs, outputs), torch.randn(200, 5)
     assert not torch.allclose(layer(x), layer(x) @ outputs.T, atol=0.1)
     free, bias = torch.randn(8, 5), torch.randn(8)
     wanted = x @ (free + outputs @ free @ inputs).T + bias + outputs @ bias
@@ -100,14 +100,14 @@ def test_a_layer_is_any_that_commutes_and_treats_sides_apart():
 
 
 def test_a_layer_holds_half_of_a_plain_ones_weights():
-    layer = SymmetricLinear(halves_swapped(64), halves_swapped(32))
+    layer = EquivariantLinear(halves_swapped(64), halves_swapped(32))
     assert sum(parameter.numel() for parameter in layer.parameters()) == 64 * 32 // 2 + 16
 
 
 def test_an_mlp_starts_with_outputs_as_large_as_a_plain_one():
     torch.manual_seed(0)
     x, swapped = torch.randn(512, 64), halves_swapped(64)
-    ours = torch.stack([symmetric_mlp(swapped, swapped, [128])(x).std() for _ in range(20)]).mean()
+    ours = torch.stack([equivariant_mlp(swapped, swapped, [128])(x).std() for _ in range(20)]).mean()
     plain = torch.nn.Sequential
     layers = lambda: plain(torch.nn.Linear(64, 128), torch.nn.ELU(), torch.nn.Linear(128, 64))  # noqa: E731
     theirs = torch.stack([layers()(x).std() for _ in range(20)]).mean()
@@ -179,7 +179,7 @@ def test_statistics_are_those_of_both_sides():
 
 def test_without_reflections_networks_are_plain():
     nets = make_networks(SPEC, Unbounded((12,)))
-    assert not any(isinstance(module, SymmetricLinear) for module in nets.modules())
+    assert not any(isinstance(module, EquivariantLinear) for module in nets.modules())
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,12 @@ def test_a_product_of_what_changes_places_is_refused(pair):
     norm = RunningNormalizer(5, reflection=reflection_of(5))
     with pytest.raises(ValueError, match="its own inverse"):
         ActorBackbone(
-            norm, RunningNormalizer(3, reflection=torch.eye(3)), 4, 12, products=[pair], reflection=MIRROR["action"]
+            norm,
+            RunningNormalizer(3, reflection=torch.eye(3)),
+            4,
+            12,
+            input_products=[pair],
+            reflection=MIRROR["action"],
         )
 
 
@@ -227,4 +232,4 @@ def test_keys_of_another_env():
         key: MIRROR[key] for key in (("privileged", "intrinsic"), ("privileged", "extrinsic"))
     }
     nets = make_networks(spec, Unbounded((12,)), reflections=mirror, keys=keys)
-    assert isinstance(nets.encoder.net[0], SymmetricLinear)
+    assert isinstance(nets.encoder.net[0], EquivariantLinear)

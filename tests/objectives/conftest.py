@@ -8,12 +8,12 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Composite
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_atr.modules import RidingNetworks
+from torchrl_atr.modules import ROANetworks
 from torchrl_atr.objectives import ROAClipPPOLoss
 
 
 @pytest.fixture
-def make_loss(networks: RidingNetworks) -> Callable[..., ROAClipPPOLoss]:
+def make_loss(networks: ROANetworks) -> Callable[..., ROAClipPPOLoss]:
     def make(source: str = "privileged", **kwargs) -> ROAClipPPOLoss:
         return ROAClipPPOLoss(
             networks.training_actor(source),
@@ -28,7 +28,7 @@ def make_loss(networks: RidingNetworks) -> Callable[..., ROAClipPPOLoss]:
 
 
 @pytest.fixture
-def make_batch(spec: Composite, networks: RidingNetworks) -> Callable[..., TensorDictBase]:
+def make_batch(spec: Composite, networks: ROANetworks) -> Callable[..., TensorDictBase]:
     """A [5, 6] rollout on random data: stored actions, log-probabilities and whatever the source records."""
 
     def make(source: str = "privileged", steps: int = 6) -> TensorDictBase:

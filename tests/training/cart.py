@@ -7,7 +7,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase, RewardSum, StepCounter, TransformedEnv
 
-from torchrl_atr.modules import RidingNetworks, make_networks
+from torchrl_atr.modules import ROANetworks, make_networks
 from torchrl_atr.objectives import ROAClipPPOLoss
 from torchrl_atr.training import Callback
 
@@ -105,7 +105,7 @@ def make_bare_cart(num_envs: int, seed: int = 0, num_threads: int | None = None)
     return CartEnv(num_envs, seed)
 
 
-def make_cart_networks(env: EnvBase) -> RidingNetworks:
+def make_cart_networks(env: EnvBase) -> ROANetworks:
     return make_networks(
         env.observation_spec,
         env.action_spec,
@@ -119,7 +119,7 @@ def make_cart_networks(env: EnvBase) -> RidingNetworks:
 class DoubledLoss(ROAClipPPOLoss):
     """With twice the estimator terms, and a buffer that counts its calls."""
 
-    def __init__(self, networks: RidingNetworks, **arguments) -> None:
+    def __init__(self, networks: ROANetworks, **arguments) -> None:
         super().__init__(
             networks.training_actor("mixed"),
             networks.critic_module,

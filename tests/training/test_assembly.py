@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from torchrl_atr.modules import hadamard_leg_basis
-from torchrl_atr.training import DEPLOYED, ConfigError, make_config, make_env, make_run_networks
-from torchrl_atr.training.assembly import TOGETHER
+from torchrl_atr.training import DEPLOYMENT_OVERRIDES, ConfigError, make_config, make_env, make_run_networks
+from torchrl_atr.training.assembly import TIME_LIMIT_CHECK_INTERVAL
 
 TRUTH = {("privileged", "intrinsic"), ("privileged", "extrinsic")}
 CONFIG = make_config(
@@ -28,11 +28,11 @@ def test_robots_reach_their_time_limits_together():
     )
     ends = data["next", "truncated"].squeeze(-1).any(0).nonzero().squeeze(-1) + 1
     assert len(ends) > 2
-    assert not (ends % TOGETHER).any()
+    assert not (ends % TIME_LIMIT_CHECK_INTERVAL).any()
 
 
 def test_a_deployed_policy_starts_at_the_beginning_and_takes_any_command():
-    env = make_env(CONFIG, num_envs=2, **DEPLOYED)
+    env = make_env(CONFIG, num_envs=2, **DEPLOYMENT_OVERRIDES)
     env.curriculum.pin(torch.tensor([15.0, -2.0]))
     start = env.reset()
     assert start["command"].tolist() == [[15.0, -2.0]] * 2
@@ -45,7 +45,7 @@ def test_a_deployed_walker_takes_the_task_s_commands_and_those_it_was_trained_fo
         {"task.name": "walking", "env.num_envs": 1, "curriculum.max_speed": largest, "compute.num_threads": 1}
     )
     assert make_env(config).curriculum.grid.bounds == (largest or 1.5, 1.0)
-    grid = make_env(config, **DEPLOYED).curriculum.grid
+    grid = make_env(config, **DEPLOYMENT_OVERRIDES).curriculum.grid
     assert grid.bounds == bounds
     assert grid.forward_only
 
@@ -56,7 +56,7 @@ def test_a_part_that_the_task_does_not_have_is_refused_and_its_default_ignored()
     )
     assert "transporter" not in config.make_task().arguments
     with pytest.raises(ConfigError, match="transporter='two_board': the task 'walking' has no transporter; leave it"):
-        make_env(config, transporter="two_board", **DEPLOYED)
+        make_env(config, transporter="two_board", **DEPLOYMENT_OVERRIDES)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 import pytest
 import torch
 
-from torchrl_atr.modules import correlate
+from torchrl_atr.modules import with_correlated_noise
 from torchrl_atr.training import ConfigError, Learner, make_config, make_env, make_run_networks
 from torchrl_atr.training.collection import Collection, CollectionError
 
@@ -26,7 +26,7 @@ def start(collector):
     env = make_env(config)
     networks = make_run_networks(config, env)
     learner = Learner(networks, config)
-    policy = correlate(networks.rollout_policy(config.roa.act_source), config.exploration.noise_correlation)
+    policy = with_correlated_noise(networks.rollout_policy(config.roa.act_source), config.exploration.noise_correlation)
     return config, learner, Collection(config, env, partial(make_env, config), policy)
 
 
@@ -46,7 +46,6 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
                 )
             torch.testing.assert_close(log_prob, flat["action_log_prob"], rtol=0, atol=1e-5)
             learner.update(batch)
-            collection.publish()
             cell = (0, 0)  # far from any command: only an exchange can raise it elsewhere
             collection.curriculum.weights[cell] = 0.75
             collection.exchange()
@@ -104,7 +103,6 @@ def kill_a_worker(collection):
 def go_on(collection):
     while True:
         collection.collect()
-        collection.publish()
         collection.exchange()
 
 

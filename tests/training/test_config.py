@@ -150,7 +150,7 @@ def test_groups_check_themselves():
         PPOConfig(gamma=2)
     with pytest.raises(ConfigError, match=r"env=.* is a group of settings; give EnvConfig"):
         TrainConfig(env=8)
-    assert TrainConfig(env=EnvConfig(num_envs=4)) == TrainConfig().replace(env__num_envs=4)
+    assert TrainConfig(env=EnvConfig(num_envs=4)) == make_config({"env.num_envs": 4})
 
 
 @pytest.mark.parametrize(

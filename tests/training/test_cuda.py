@@ -11,7 +11,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.modules import DeviceBridge
-from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, make_run_networks, run_config
+from torchrl_atr.training import Trainer, checkpoint_config, load_checkpoint, load_run, make_config, make_run_networks
 
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device; torch finds none here")
 SETTINGS = {
@@ -33,11 +33,15 @@ def test_it_trains_there_and_goes_on_and_rides_without_it(tmp_path, compiled):
     assert all(torch.isfinite(torch.tensor(list(m.values()))).all() for m in metrics)
     _, env, networks, _ = load_run(tmp_path / "run", num_envs=2)
     assert env.rollout(3, networks.deployed_policy())["action"].device.type == "cpu"
-    begun = Trainer(make_config({**SETTINGS, "compute.compiled": compiled}), tmp_path / "begun", start=tmp_path / "run")
+    begun = Trainer(
+        make_config({**SETTINGS, "compute.compiled": compiled}), tmp_path / "begun", begin_from=tmp_path / "run"
+    )
     assert begun.train() is None
     state = load_checkpoint(tmp_path / "run")
     resumed = Trainer(
-        run_config(state, tmp_path, (), {"compute.device": "cpu", "compute.compiled": False, "total_frames": 4 * 64}),
+        checkpoint_config(
+            state, tmp_path, (), {"compute.device": "cpu", "compute.compiled": False, "total_frames": 4 * 64}
+        ),
         tmp_path / "run",
         state,
     )

@@ -11,7 +11,7 @@ from torchrl_atr.evaluation import evaluate_tracking
 from torchrl_atr.evaluation.video import ride
 from torchrl_atr.modules import MLPEstimator
 from torchrl_atr.modules.estimators import _ESTIMATORS
-from torchrl_atr.training import DEPLOYED, Trainer, load_run, make_config
+from torchrl_atr.training import DEPLOYMENT_OVERRIDES, Trainer, load_run, make_config
 
 TINY = {
     "env.num_envs": 8,
@@ -85,7 +85,7 @@ def test_training_itself_stays_in_training_mode(trainer):
 
 
 def test_using_a_policy_leaves_every_module_in_the_mode_that_it_was_in(trainer):
-    _, env, loaded, _ = load_run(trainer.run, num_envs=2, **DEPLOYED)
+    _, env, loaded, _ = load_run(trainer.run, num_envs=2, **DEPLOYMENT_OVERRIDES)
     trained = trainer.learner.networks
     for networks, expected in ((loaded, {False}), (trained, {True})):
         list(ride(networks.deployed_policy(), env, [(0.0, 0.0, 0.0)], 2))

@@ -188,9 +188,9 @@ def test_a_run_of_own_parts_is_loaded_with_them_and_nothing_less(tmp_path, capsy
         assert missing in (message := capsys.readouterr().err)
         assert "pass make_env=..., make_networks=... to" in message
     with pytest.raises(CheckpointError, match="trained with make_networks="):
-        Trainer(make_config(SMALL), tmp_path / "new", start=tmp_path, make_env=make_cart)
+        Trainer(make_config(SMALL), tmp_path / "new", begin_from=tmp_path, make_env=make_cart)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir() if file.is_file()} == before
-    begun = Trainer(make_config(SMALL), tmp_path / "new", start=tmp_path, **CARTS)
+    begun = Trainer(make_config(SMALL), tmp_path / "new", begin_from=tmp_path, **CARTS)
     for name, value in networks.state_dict().items():
         assert torch.equal(begun.learner.networks.state_dict()[name], value), name
 

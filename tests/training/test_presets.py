@@ -12,7 +12,7 @@ from torchrl_atr._settings import settings
 from torchrl_atr.envs import get_interpretation
 from torchrl_atr.envs.transforms import OverspeedTermination, RandomizedStepCounter
 from torchrl_atr.listings import settings_page
-from torchrl_atr.modules.symmetry import SymmetricLinear
+from torchrl_atr.modules.symmetry import EquivariantLinear
 from torchrl_atr.training import PRESETS, TrainConfig, additions, make_config, make_env, make_run_networks
 
 DOCS = Path(torchrl_atr.__file__).parents[1] / "docs"
@@ -54,17 +54,17 @@ def value(config, path):
 
 
 def test_the_list_of_additions_is_whole_and_all_are_off_in_paper():
-    assert {each.switch: each.off for each in additions()} == ADDITIONS
+    assert {each.path: each.value_in("paper") for each in additions()} == ADDITIONS
     for each in additions():
-        assert value(PAPER, each.switch) == each.off, each.switch
-        assert value(TrainConfig(), each.switch) == each.on, each.switch
-        assert each.why, each.switch
+        assert value(PAPER, each.path) == each.value_in("paper"), each.path
+        assert value(TrainConfig(), each.path) == each.default, each.path
+        assert each.text, each.path
 
 
 @pytest.mark.parametrize("preset", ["literal", "legged_gym"])
 def test_the_other_presets_have_no_additions_either(preset):
     config = make_config({"preset": preset})
-    assert {each.switch: value(config, each.switch) for each in additions()} == ADDITIONS
+    assert {each.path: value(config, each.path) for each in additions()} == ADDITIONS
 
 
 def test_what_the_paper_prints_is_in_its_preset():
@@ -79,7 +79,7 @@ def test_what_the_paper_prints_is_in_its_preset():
     pushes = [step for step in range(1, 500) if step % task.disturbances["push"].steps == 0]
     assert pushes == [150, 300, 450]  # 3, 6 and 9 s
     assert task.rewards == TrainConfig().make_task().rewards
-    assert task.readings == get_interpretation("paper") == PAPER.task.interpretation
+    assert task.interpretation == get_interpretation("paper") == PAPER.task.interpretation
 
 
 def test_a_preset_is_a_profile_of_the_env_too():
@@ -89,11 +89,11 @@ def test_a_preset_is_a_profile_of_the_env_too():
 
 
 def test_paper_makes_plain_parts():
-    config = PAPER.replace(env__num_envs=4, compute__num_threads=1)
+    config = make_config({"preset": "paper", "env.num_envs": 4, "compute.num_threads": 1})
     env = make_env(config)
     assert not any(isinstance(part, OverspeedTermination | RandomizedStepCounter) for part in env.transform)
     networks = make_run_networks(config, env)
-    assert not any(isinstance(part, SymmetricLinear) for part in networks.modules())
+    assert not any(isinstance(part, EquivariantLinear) for part in networks.modules())
     assert networks.exploration.basis is None
     assert networks.backbone.output_map is None
     widths = [part.in_features for part in networks.backbone.net.modules() if isinstance(part, nn.Linear)]

@@ -20,7 +20,7 @@ def test_a_published_run_holds_the_deployed_weights_alone(tmp_path):
     assert sizes[1] < 0.5 * sizes[0]
     ours, theirs = (load_run(tmp_path / name, num_envs=1)[2].state_dict() for name in ("run", "published"))
     assert all(torch.equal(value, theirs[name]) for name, value in ours.items())
-    begun = Trainer(make_config({**TINY, "seed": 4}), tmp_path / "begun", start=tmp_path / "published")
+    begun = Trainer(make_config({**TINY, "seed": 4}), tmp_path / "begun", begin_from=tmp_path / "published")
     assert begun.train() is None
     assert load_checkpoint(tmp_path / "begun")["frames"] == 192
 

@@ -34,10 +34,10 @@ def test_resumed_equals_uninterrupted_bit_for_bit(tmp_path, task, act_source, ot
     start = other and tmp_path / other
     if start is not None:
         Trainer(make_config({**small, "total_frames": 64, "seed": 1}), start).train()
-    straight = Trainer(config, tmp_path / "straight", start=start)
+    straight = Trainer(config, tmp_path / "straight", begin_from=start)
     straight.train()
 
-    first = Trainer(config, tmp_path / "resumed", start=start)
+    first = Trainer(config, tmp_path / "resumed", begin_from=start)
     assert first.train(interrupt_after(3)) == signal.SIGTERM
     state = load_checkpoint(tmp_path / "resumed")
     assert state["frames"] == FRAMES // 2

@@ -14,7 +14,7 @@ import torch
 from tests.own_robot import FACTS, GO1, make_heavier, write_robot
 from torchrl_atr.cli import main
 from torchrl_atr.envs.models.identity import differences
-from torchrl_atr.evaluation import replay
+from torchrl_atr.evaluation import replay_failure
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, read_config
 from torchrl_atr.training.run_files import DUMPS
 
@@ -100,7 +100,7 @@ def test_it_goes_on_and_others_begin_from_it(trained, moved, tmp_path, capsys):
 
 def test_its_dumps_are_replayed(moved):
     (dump,) = (moved / DUMPS).iterdir()
-    assert len(list(replay(dump))) == 3
+    assert len(list(replay_failure(dump))) == 3
     assert main(["replay", str(dump)]) == 0
 
 
@@ -154,7 +154,7 @@ def test_a_transporter_of_ones_own_is_kept_too(tmp_path, capsys):
     assert load_checkpoint(run)["config"]["task"]["transporter"] == "model/transporter/wide.toml"
     assert load_run(run, num_envs=1)[1].base_env.scene.support.spec.mass == 14.0
     (dump,) = (run / DUMPS).iterdir()
-    assert len(list(replay(dump))) == 2
+    assert len(list(replay_failure(dump))) == 2
     copy = run / "model" / "transporter" / "wide.toml"
     copy.write_text(copy.read_text().replace("14.0", "15.0"))
     assert main(["evaluate", str(run), *GRID]) == 2

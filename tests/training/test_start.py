@@ -31,7 +31,9 @@ def parent(tmp_path_factory):
 
 def test_a_run_begins_with_anothers_deployed_networks_and_command_grid(parent, tmp_path):
     learned = load_checkpoint(parent)
-    trainer = Trainer(make_config({**TINY, "curriculum.max_speed": 15.0, "seed": 7}), tmp_path / "run", start=parent)
+    trainer = Trainer(
+        make_config({**TINY, "curriculum.max_speed": 15.0, "seed": 7}), tmp_path / "run", begin_from=parent
+    )
     for name, value in trainer.learner.networks.state_dict().items():
         assert torch.equal(value, learned["learner"]["deployed"][name]), name
     narrow, wide = CommandGrid(bounds=(3.0, 2.0)), trainer.curriculum
@@ -43,7 +45,7 @@ def test_a_run_begins_with_anothers_deployed_networks_and_command_grid(parent, t
 def test_optimisers_go_on_where_the_other_run_ended_with_settings_of_their_own(parent, tmp_path):
     before = load_checkpoint(parent)["learner"]["optimizers"]
     config = make_config({**TINY, "ppo.critic_learning_rate": 2e-4, "ppo.learning_rate": 1e-3})
-    learner = Trainer(config, tmp_path / "run", start=parent).learner
+    learner = Trainer(config, tmp_path / "run", begin_from=parent).learner
     for name, optimizer in learner.optimizers.items():
         moments = optimizer.state_dict()["state"]
         assert moments.keys() == before[name]["state"].keys() != set(), name
@@ -55,12 +57,12 @@ def test_optimisers_go_on_where_the_other_run_ended_with_settings_of_their_own(p
     learner.schedule.step(torch.tensor(1e9))
     assert learner.optimizers["policy"].param_groups[0]["lr"] < rate  # the schedule's own, not a copy
     slower = make_config({**TINY, "ppo.learning_rate": rate / 2})
-    begun = Trainer(slower, tmp_path / "slower", start=parent).learner
+    begun = Trainer(slower, tmp_path / "slower", begin_from=parent).learner
     assert begun.schedule.get_last_lr() == [pytest.approx(rate / 2)]
 
 
 def test_moments_of_other_parameters_are_refused_by_name(parent, tmp_path):
-    learner = Trainer(make_config(TINY), tmp_path / "run", start=parent).learner
+    learner = Trainer(make_config(TINY), tmp_path / "run", begin_from=parent).learner
     for damage in (
         lambda saved: saved["state"][0].update(exp_avg=torch.zeros(3)),
         lambda saved: saved["param_groups"][0]["params"].append(99),

@@ -42,7 +42,7 @@ def train(words: Sequence[str]) -> int:
     given = merged(read_config(arguments.config) if arguments.config else {}, arguments.given)
     config, named = (make_config(given), set()) if arguments.start is None else _config_from(arguments.start, given)
     with folder_for(output):
-        return _train(Trainer(config, output, start=arguments.start, replaced=named))
+        return _train(Trainer(config, output, begin_from=arguments.start, replaced=named))
 
 
 def _config_from(run: Path, given: dict[str, Any]) -> tuple[TrainConfig, set[str]]:
@@ -58,7 +58,7 @@ def _config_from(run: Path, given: dict[str, Any]) -> tuple[TrainConfig, set[str
 
 def _resume(arguments: TrainArguments) -> int:
     from torchrl_atr.cli.train_options import RESUMABLE, option
-    from torchrl_atr.training import ConfigError, Trainer, load_checkpoint, run_config
+    from torchrl_atr.training import ConfigError, Trainer, checkpoint_config, load_checkpoint
 
     run, given = arguments.resume, arguments.given
     assert run is not None
@@ -71,7 +71,7 @@ def _resume(arguments: TrainArguments) -> int:
         raise ConfigError(f"{names}: a resumed run keeps its settings, {allowed} excepted; leave it out")
     state = load_checkpoint(run)
     changed = {path: value for path, value in given.items() if path != "imports"}
-    trainer = Trainer(run_config(state, run, given.get("imports", ()), changed), run, state)
+    trainer = Trainer(checkpoint_config(state, run, given.get("imports", ()), changed), run, state)
     if trainer.finished:
         say(f"{run} has ended; to go on, give a larger --total-frames or --max-minutes")
         return 0
@@ -95,7 +95,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
     from torchrl_atr._threads import TorchThreads
     from torchrl_atr.evaluation import run_figures
-    from torchrl_atr.training import DEPLOYED, load_run, make_env
+    from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
 
     fill_options(arguments)
     output = _report_folder(arguments)
@@ -112,7 +112,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
                 threads.update()
                 counter(done, total)
 
-            chosen = {**DEPLOYED, **other, "randomization": arguments.randomization}
+            chosen = {**DEPLOYMENT_OVERRIDES, **other, "randomization": arguments.randomization}
             if arguments.sensors is not None:
                 chosen["sensors"] = arguments.sensors
             measured = PROTOCOLS[arguments.protocol].measure(
@@ -145,12 +145,12 @@ def evaluate(arguments: argparse.Namespace) -> None:
 def _record_range(measured: Measured, run: Path) -> str:
     """Write the mastered range of commands into the run folder, or remove it if there is none; return a line on it."""
     from torchrl_atr.evaluation import TrackingResult, mastered_range
-    from torchrl_atr.modules import COMMAND_RANGE
+    from torchrl_atr.modules import COMMAND_RANGE_FILE
 
     assert isinstance(measured.result, TrackingResult)  # fill_options refuses other protocols
     limits = mastered_range(measured.result)
     if limits is None:
-        (run / COMMAND_RANGE).unlink(missing_ok=True)
+        (run / COMMAND_RANGE_FILE).unlink(missing_ok=True)
         return "no command is mastered: no range of commands to clip to"
     return f"wrote {limits.save(run)}: from now on commands are clipped to it"
 
@@ -196,9 +196,9 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
 def play(arguments: argparse.Namespace) -> None:
     """Run ``torchrl-atr play``."""
     from torchrl_atr.evaluation import play_viewer, record_video
-    from torchrl_atr.training import DEPLOYED, load_run
+    from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run
 
-    chosen = {"num_envs": 1, "seed": arguments.seed, **_other_model(arguments), **DEPLOYED}
+    chosen = {"num_envs": 1, "seed": arguments.seed, **_other_model(arguments), **DEPLOYMENT_OVERRIDES}
     _, env, networks, _ = load_run(arguments.run, _checkpoint(arguments), arguments.imports or (), **chosen)
     policy = networks.deployed_policy()
     if arguments.video is None:
@@ -221,11 +221,11 @@ def _imports_of(dump: Path) -> Sequence[str]:
 
 def replay(arguments: argparse.Namespace) -> None:
     """Run ``torchrl-atr replay``."""
-    from torchrl_atr.evaluation import replay as replayed
+    from torchrl_atr.evaluation import replay_failure
 
     import_modules(arguments.imports or _imports_of(arguments.dump))
     say(replay_head())
-    with closing(replayed(arguments.dump, arguments.video)) as steps:  # finish the video in any case
+    with closing(replay_failure(arguments.dump, arguments.video)) as steps:  # finish the video in any case
         for step in steps:
             say(replay_line(step))
     if arguments.video is not None:

@@ -13,7 +13,7 @@ from torchrl_atr.cli.printing import endurance_lines, estimator_lines, headlines
 if TYPE_CHECKING:
     from torchrl_atr.envs.transforms import CommandGrid
     from torchrl_atr.evaluation import EnduranceResult, TrackingResult
-    from torchrl_atr.modules import RidingNetworks
+    from torchrl_atr.modules import ROANetworks
     from torchrl_atr.training import TrainConfig
 
 Progress = Callable[[int, int], None]
@@ -64,7 +64,7 @@ def fill_options(arguments: argparse.Namespace) -> None:
 def tracking(
     arguments: argparse.Namespace,
     config: TrainConfig,
-    networks: RidingNetworks,
+    networks: ROANetworks,
     make_env: Callable[..., Any],
     progress: Progress,
 ) -> Measured:
@@ -88,7 +88,7 @@ def tracking(
 def endurance(
     arguments: argparse.Namespace,
     config: TrainConfig,
-    networks: RidingNetworks,
+    networks: ROANetworks,
     make_env: Callable[..., Any],
     progress: Progress,
 ) -> Measured:

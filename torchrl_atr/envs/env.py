@@ -18,7 +18,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr._threads import one_torch_thread_if_small
 from torchrl_atr.envs.models import Scene, build_scene
-from torchrl_atr.envs.physics import DECIMATION, Engine, PhysicsEngine, make_engine
+from torchrl_atr.envs.physics import DECIMATION, Engine, EngineName, make_engine
 from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
 from torchrl_atr.envs.specs import flag, nested, observation_spec, values
 from torchrl_atr.envs.tasks.finite import as_float32, not_finite
@@ -94,7 +94,7 @@ class QuadrupedEnv(EnvBase):
         self,
         task: Task,
         num_envs: int = 256,
-        physics: PhysicsEngine = "batch",
+        physics: EngineName = "batch",
         randomization: Randomization = "train",
         num_threads: int | None = None,
         failed_episode_replay: float = 0.0,
@@ -109,7 +109,7 @@ class QuadrupedEnv(EnvBase):
         super().__init__(device=torch.device("cpu"), batch_size=torch.Size([num_envs]))
         self.task, self.rng = task, rng
         self.seeding: tuple[int, int] | None = None  # how often set_seed was called, and its last seed: transforms look
-        engine = make_engine(build_scene(task.robot, task.support), task.hook, physics, num_envs, num_threads)
+        engine = make_engine(build_scene(task.robot, task.support), task.substep_hook, physics, num_envs, num_threads)
         self.runner = EpisodeRunner(task, engine, randomization, self.rng, failed_episode_replay, compiled)
         self._recorder = None
         if dump_dir is not None:

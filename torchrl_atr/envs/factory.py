@@ -13,10 +13,10 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._registry import nearest
 from torchrl_atr.envs.env import QuadrupedEnv
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec
-from torchrl_atr.envs.physics import PhysicsEngine
+from torchrl_atr.envs.physics import EngineName
 from torchrl_atr.envs.tasks import RewardError, Task, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
-from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, LimitGrowth, task_transforms
+from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, TimeLimitGrowth, task_transforms
 
 
 class CurriculumEnv(TransformedEnv):
@@ -32,7 +32,7 @@ def make_env(
     task: Task,
     num_envs: int = 256,
     *,
-    physics: PhysicsEngine = "batch",
+    physics: EngineName = "batch",
     randomization: Randomization = "train",
     num_threads: int | None = None,
     failed_episode_replay: float = 0.0,
@@ -42,7 +42,7 @@ def make_env(
     history_length: int = 10,
     max_steps: int = 1000,
     stagger: int = 0,
-    limit_growth: LimitGrowth | None = None,
+    time_limit_growth: TimeLimitGrowth | None = None,
     window: int = 250,
     grid: CommandGrid | None = None,
     overspeed_margin: tuple[float, float] | None = None,
@@ -52,7 +52,7 @@ def make_env(
     """Return a task's env behind command curriculum, observation, history, time limit and episode reward.
 
     Args:
-        task: such as :func:`~torchrl_atr.envs.tasks.riding` or your own; its ``tracking`` terms are scored.
+        task: such as :func:`~torchrl_atr.envs.tasks.riding` or your own; its ``tracking_rewards`` are scored.
         num_envs: N.
         physics: see :class:`QuadrupedEnv`, as for ``randomization``, ``num_threads``, ``failed_episode_replay``,
             ``dump_dir`` and ``compiled``.
@@ -67,8 +67,8 @@ def make_env(
         max_steps: control steps after which an episode is truncated (20 s at 50 Hz).
         stagger: if positive, the robots' first episodes end at different times, and the limit is checked every
             ``stagger`` steps (for training): see :class:`~torchrl_atr.envs.transforms.RandomizedStepCounter`.
-        limit_growth: lower time limit at first (for training, with ``stagger``): a
-            :class:`~torchrl_atr.envs.transforms.LimitGrowth`.
+        time_limit_growth: lower time limit at first (for training, with ``stagger``): a
+            :class:`~torchrl_atr.envs.transforms.TimeLimitGrowth`.
         window: control steps that a command lasts (5 s at 50 Hz).
         grid: the curriculum's cells and update rule; None for the task's.
         overspeed_margin: end episodes of robots faster than any command by this much, in the units of the command (for
@@ -103,10 +103,10 @@ def make_env(
     transforms = task_transforms(
         _tracking_max(env),
         history_length=history_length,
-        include_current=task.readings.current_in_history,
+        include_current=task.interpretation.current_in_history,
         max_steps=max_steps,
         stagger=stagger,
-        limit_growth=limit_growth,
+        time_limit_growth=time_limit_growth,
         window=window,
         grid=grid,
         overspeed_margin=overspeed_margin,
@@ -114,7 +114,7 @@ def make_env(
         compact_storage=compact_storage,
         unscored_key="moving_start",
         seed=seed,
-        tracking_keys=[("reward_terms", name) for name in task.tracking],
+        tracking_keys=[("reward_terms", name) for name in task.tracking_rewards],
         **curriculum,
     )
     return CurriculumEnv(env, transforms)
@@ -155,8 +155,8 @@ def _tracking_max(env: QuadrupedEnv) -> tuple[float, ...]:
     if len(tracking_max) != len(task.command):
         raise _unfit(
             task,
-            f"tracking={tuple(task.tracking)}; name one reward term for each of {', '.join(task.command.names)}, which "
-            "the command curriculum scores",
+            f"tracking_rewards={tuple(task.tracking_rewards)}; name one reward term for each of "
+            f"{', '.join(task.command.names)}, which the command curriculum scores",
             RewardError,
         )
     for name, value in tracking_max.items():

@@ -1,6 +1,7 @@
 """Open questions of the paper as settings: one field for each, and named profiles that answer all of them.
 
-Numbers A1 ... A34 are those of docs/readings.md; ``torchrl-atr list questions`` prints every question with its answers.
+Numbers A1 ... A34 are those of docs/open_questions.md; ``torchrl-atr list questions`` prints every question with its
+answers.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ class FlightRecorder:
         length: number of control steps that are kept.
 
     Example:
-        See :func:`torchrl_atr.evaluation.replay`.
+        See :func:`torchrl_atr.evaluation.replay_failure`.
     """
 
     def __init__(self, runner: EpisodeRunner, scene: dict[str, Any], folder: Path, length: int = LENGTH) -> None:
@@ -92,7 +92,7 @@ def describe_scene(task: Task, scene: Scene) -> dict[str, Any]:
     return {
         "task": task.name,
         **task.arguments,
-        "readings": dataclasses.asdict(task.readings),
+        "interpretation": dataclasses.asdict(task.interpretation),
         "model": describe(scene),
     }
 

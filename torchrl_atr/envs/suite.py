@@ -77,7 +77,7 @@ def load_task(
     """
     check_kind("task", task, Task, "a Task, such as walking('a1')")
     check_number("time_limit", time_limit, above=0.0)
-    engine = DmControlEngine(build_scene(task.robot, task.support), task.hook)
+    engine = DmControlEngine(build_scene(task.robot, task.support), task.substep_hook)
     runner = EpisodeRunner(task, engine, randomization, torch.Generator())
     return control.Environment(engine.physics, SuiteTask(runner, random), time_limit=time_limit, n_sub_steps=DECIMATION)
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from torchrl_atr.evaluation.access import disturbance_steps, ended_by, extrinsic_components, intrinsic_names
-from torchrl_atr.evaluation.estimators import EstimatorErrors, EstimatorSums
+from torchrl_atr.evaluation.estimators import EstimationErrors, EstimatorSums
 from torchrl_atr.evaluation.ride import RideStep
 from torchrl_atr.modules.keys import NetworkKeys
 
@@ -128,9 +128,9 @@ class EnduranceLog:
         }
 
 
-def _join_estimates(sums: Sequence[Sequence[EstimatorSums]]) -> EstimatorErrors | None:
+def _join_estimates(sums: Sequence[Sequence[EstimatorSums]]) -> EstimationErrors | None:
     """Return the estimates' errors of each second and robot, (S, n, ...), from chunks of seconds."""
     by_second = [[part.result() for part in parts] for parts in zip(*sums, strict=True)]
-    seconds = [EstimatorErrors.join(parts, (-1,)) for parts in by_second]
+    seconds = [EstimationErrors.join(parts, (-1,)) for parts in by_second]
     n = None if seconds[0] is None else len(seconds[0].steps)
-    return None if n is None else EstimatorErrors.join(seconds, (len(seconds), n))
+    return None if n is None else EstimationErrors.join(seconds, (len(seconds), n))

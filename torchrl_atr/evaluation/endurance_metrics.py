@@ -70,7 +70,7 @@ def endurance_metrics(result: EnduranceResult) -> dict[str, Any]:
         "estimate_drift": headline.get("drift"),
         "estimate_drift_interval": headline.get("drift_interval"),
         "estimate_over_time": estimate_over_time(result),
-        "do_nothing": do_nothing(result),
+        "do_nothing": do_nothing_baseline(result),
         "policy_reads": list(result.policy_reads),
     }
     return without_nan(figures)
@@ -260,7 +260,7 @@ def estimate_over_time(result: EnduranceResult) -> dict[str, Any] | None:
     }
 
 
-def do_nothing(result: EnduranceResult) -> dict[str, float]:
+def do_nothing_baseline(result: EnduranceResult) -> dict[str, float]:
     """Return the figures of a board that never moves: nobody falls, by definition, and every error is the command."""
     speed, yaw = np.abs(result.commands).mean((0, 1))
     return {"survival": 1.0, "settled_speed_error": float(speed), "settled_yaw_error": float(yaw)}

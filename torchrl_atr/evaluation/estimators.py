@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class EstimatorErrors:
+class EstimationErrors:
     """First and second moments of the errors of each trial, over the steps that it was up; SI units.
 
     Attributes:
@@ -39,7 +39,7 @@ class EstimatorErrors:
     latent_squared: Array | None = None
 
     @staticmethod
-    def join(parts: Sequence[EstimatorErrors | None], shape: tuple[int, ...]) -> EstimatorErrors | None:
+    def join(parts: Sequence[EstimationErrors | None], shape: tuple[int, ...]) -> EstimationErrors | None:
         """Concatenate the parts' trials as ``shape`` (V, W, R); None if any part is None."""
         known = [part for part in parts if part is not None]
         if not known or len(known) < len(parts):
@@ -53,7 +53,7 @@ class EstimatorErrors:
             return together.reshape(*shape, *together.shape[1:])
 
         fields = ("steps", "extrinsic", "extrinsic_squared", "latent", "latent_squared")
-        return EstimatorErrors(components=known[0].components, **{name: joined(name) for name in fields})  # type: ignore[arg-type]
+        return EstimationErrors(components=known[0].components, **{name: joined(name) for name in fields})  # type: ignore[arg-type]
 
     def moments(self) -> tuple[tuple[float, float] | None, list[tuple[Component, float, float]]]:
         """Compute mean and standard deviation over all steps of all trials: latent, and each extrinsic state.
@@ -61,7 +61,7 @@ class EstimatorErrors:
         Example:
             >>> moments = np.array([[[[0.1, 0.2]]]])
             >>> components = Component("a", "a", "m"), Component("b", "b", "m")
-            >>> errors = EstimatorErrors(np.ones((1, 1, 1)), components, moments, moments**2)
+            >>> errors = EstimationErrors(np.ones((1, 1, 1)), components, moments, moments**2)
             >>> [(component.name, mean) for component, mean, _ in errors.moments()[1]]
             [('a', 0.1), ('b', 0.2)]
         """
@@ -119,7 +119,7 @@ class EstimatorSums:
         for key, value in ((name, error), (f"{name}_squared", error**2)):
             self._sums[key] = self._sums.get(key, torch.zeros_like(value)) + value
 
-    def result(self) -> EstimatorErrors | None:
+    def result(self) -> EstimationErrors | None:
         """Return the mean errors of each robot; None without an estimate whose true value the env emits."""
         if "extrinsic" not in self._sums:
             return None
@@ -128,4 +128,4 @@ class EstimatorSums:
             for name, value in self._sums.items()
         }
         components = self._components(means["extrinsic"].shape[-1])
-        return EstimatorErrors(steps=self._steps.numpy(), components=components, **means)
+        return EstimationErrors(steps=self._steps.numpy(), components=components, **means)

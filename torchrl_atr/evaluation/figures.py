@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from torchrl_atr.evaluation.metrics import EPSILONS, command_area, do_nothing, envelope_curve
+from torchrl_atr.evaluation.metrics import EPSILONS, command_area, do_nothing_baseline, envelope_curve
 from torchrl_atr.evaluation.plotting import (
     COLOURS,
     DASHES,
@@ -135,7 +135,7 @@ def plot_command_area(result: TrackingResult, path: str | Path) -> Path:
 
     Beside the settled yaw rate, in black: the share of the commands that can be followed within ε at all.
     """
-    still, ours, bound = command_area(do_nothing(result)), command_area(result), envelope_curve(result)
+    still, ours, bound = command_area(do_nothing_baseline(result)), command_area(result), envelope_curve(result)
     titles = {
         "rms": f"RMS over {result.seconds:g} s from rest",
         "settled": f"settled, after {result.settle:g} s",

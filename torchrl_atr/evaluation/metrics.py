@@ -51,7 +51,7 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
         "seconds": result.seconds,
         "settle": result.settle,
         **_figures(result, epsilons),
-        "do_nothing": _figures(do_nothing(result), epsilons),
+        "do_nothing": _figures(do_nothing_baseline(result), epsilons),
         "envelope": envelope_table(result),
         "estimator_errors": estimator_table(result),
         "policy_reads": list(result.policy_reads),
@@ -59,7 +59,7 @@ def tracking_metrics(result: TrackingResult, epsilons: Sequence[float] = EPSILON
     return without_nan(figures)
 
 
-def do_nothing(result: TrackingResult) -> TrackingResult:
+def do_nothing_baseline(result: TrackingResult) -> TrackingResult:
     """Return the result of a board that never moves: every error is the command, and nobody falls, by definition."""
     shape = result.fall_time.shape
     speed = np.broadcast_to(np.abs(result.speed_commands)[:, None, None], shape)

@@ -44,7 +44,7 @@ class ReplayedStep:
     diverged: bool
 
 
-def replay(path: str | Path, video: str | Path | None = None) -> Generator[ReplayedStep, None, None]:
+def replay_failure(path: str | Path, video: str | Path | None = None) -> Generator[ReplayedStep, None, None]:
     """Step through a dump that a :class:`~torchrl_atr.envs.QuadrupedEnv` with a ``dump_dir`` wrote.
 
     Args:
@@ -81,16 +81,16 @@ def replay(path: str | Path, video: str | Path | None = None) -> Generator[Repla
 def _scene(dump: dict[str, Any], path: Path) -> QuadrupedEnv:
     scene = dump["scene"]
     try:
-        readings = Interpretation(**scene["readings"])
+        interpretation = Interpretation(**scene["interpretation"])
         if not isinstance(scene["model"], dict):
             raise TypeError("its model is not described")
-    except TypeError as error:
+    except (KeyError, TypeError) as error:
         raise InputError(f"{path} was written by another version ({error}); replay it with that one") from error
     try:
-        arguments = {name: scene[name] for name in scene.keys() - {"task", "readings", "model"}}
+        arguments = {name: scene[name] for name in scene.keys() - {"task", "interpretation", "model"}}
         name = scene.get("task", "riding")
         if "profile" in inspect.signature(TASKS.get(name)).parameters:
-            arguments["profile"] = readings
+            arguments["profile"] = interpretation
         task = make_task(name, **arguments)
         env = QuadrupedEnv(task, num_envs=1, randomization="off", num_threads=1, seed=0)
     except UnknownNameError as error:

@@ -12,10 +12,10 @@ import numpy as np
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr.evaluation.access import Component
 from torchrl_atr.evaluation.envelope import Envelope
-from torchrl_atr.evaluation.estimators import EstimatorErrors
+from torchrl_atr.evaluation.estimators import EstimationErrors
 from torchrl_atr.evaluation.tracking import TrackingResult
 
-_PARTS = {"estimators": EstimatorErrors, "envelope": Envelope}
+_PARTS = {"estimators": EstimationErrors, "envelope": Envelope}
 """Nested fields of a result, stored under names such as ``estimators.components``."""
 
 

@@ -18,7 +18,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import achieved_speeds, extrinsic_components
 from torchrl_atr.evaluation.envelope import Envelope, envelope_of
-from torchrl_atr.evaluation.estimators import EstimatorErrors, EstimatorSums
+from torchrl_atr.evaluation.estimators import EstimationErrors, EstimatorSums
 from torchrl_atr.evaluation.ride import MakeEnv, RideStep, key_name, ride_in_chunks
 from torchrl_atr.modules.keys import NetworkKeys
 
@@ -59,7 +59,7 @@ class TrackingResult:
     seconds: float
     settle: float
     policy_reads: tuple[str, ...] = ()
-    estimators: EstimatorErrors | None = None
+    estimators: EstimationErrors | None = None
     envelope: Envelope | None = None
 
     @property
@@ -176,7 +176,7 @@ def evaluate_tracking(
         seconds=total * dt,
         settle=settled * dt,
         policy_reads=tuple(key_name(key) for key in policy.in_keys),
-        estimators=EstimatorErrors.join([r.sums.result() for r in recorders], shape),
+        estimators=EstimationErrors.join([r.sums.result() for r in recorders], shape),
         envelope=recorders[0].envelope,
     )
 

@@ -4,11 +4,11 @@ The encoder, the estimators (a registry and a conformance check), the actor, its
 critic, and :func:`make_networks`, which builds them all from an env's specs.
 """
 
-from torchrl_atr.modules.act_source import SOURCES, ActSource, AssignActSource, Source
-from torchrl_atr.modules.action_noise import CorrelatedGaussian, RotatedNormal, correlate
+from torchrl_atr.modules.act_source import ACT_SOURCES, ActSource, ActSourceName, AssignActSource
+from torchrl_atr.modules.action_noise import CorrelatedGaussian, RotatedNormal, with_correlated_noise
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.checks import check_estimator
-from torchrl_atr.modules.command_range import COMMAND_RANGE, ClippedPolicy, CommandRange
+from torchrl_atr.modules.command_range import COMMAND_RANGE_FILE, CommandClippedPolicy, CommandRange
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.encoder import IntrinsicEncoder
 from torchrl_atr.modules.estimators import (
@@ -23,41 +23,41 @@ from torchrl_atr.modules.estimators import (
 from torchrl_atr.modules.exploration import Exploration, hadamard_leg_basis
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.network_factory import make_networks
-from torchrl_atr.modules.networks import RidingNetworks
+from torchrl_atr.modules.networks import ROANetworks
 from torchrl_atr.modules.normalization import RunningNormalizer
 from torchrl_atr.modules.placement import DeviceBridge
-from torchrl_atr.modules.symmetry import SymmetricLinear, symmetric_mlp
+from torchrl_atr.modules.symmetry import EquivariantLinear, equivariant_mlp
 
 __all__ = [
-    "COMMAND_RANGE",
-    "SOURCES",
+    "ACT_SOURCES",
+    "COMMAND_RANGE_FILE",
     "ActSource",
+    "ActSourceName",
     "ActorBackbone",
     "AssignActSource",
     "AsymmetricCritic",
     "CNNGRUEstimator",
-    "ClippedPolicy",
+    "CommandClippedPolicy",
     "CommandRange",
     "CorrelatedGaussian",
     "DeviceBridge",
+    "EquivariantLinear",
     "EstimatorError",
     "Exploration",
     "IntrinsicEncoder",
     "MLPEstimator",
     "NetworkKeys",
     "NormalizedEstimator",
-    "RidingNetworks",
+    "ROANetworks",
     "RotatedNormal",
     "RunningNormalizer",
-    "Source",
-    "SymmetricLinear",
     "available_estimators",
     "check_estimator",
-    "correlate",
+    "equivariant_mlp",
     "get_estimator",
     "hadamard_leg_basis",
     "make_actor",
     "make_networks",
     "register_estimator",
-    "symmetric_mlp",
+    "with_correlated_noise",
 ]

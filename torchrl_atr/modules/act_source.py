@@ -11,15 +11,15 @@ from torch import Tensor
 
 from torchrl_atr.modules.keys import NetworkKeys
 
-Source = Literal["privileged", "estimated", "mixed"]
-SOURCES: tuple[str, ...] = get_args(Source)
+ActSourceName = Literal["privileged", "estimated", "mixed"]
+ACT_SOURCES: tuple[str, ...] = get_args(ActSourceName)
 _KEYS = NetworkKeys()
 
 
 def check_source(source: str) -> None:
     """Raise a ``ValueError`` that lists the allowed act sources unless ``source`` is one of them."""
-    if source not in SOURCES:
-        raise ValueError(f"Unknown act source {source!r}. Allowed: {', '.join(SOURCES)}.")
+    if source not in ACT_SOURCES:
+        raise ValueError(f"Unknown act source {source!r}. Allowed: {', '.join(ACT_SOURCES)}.")
 
 
 class ActSource(TensorDictModuleBase):
@@ -52,7 +52,7 @@ class ActSource(TensorDictModuleBase):
 
     def __init__(
         self,
-        source: Source,
+        source: ActSourceName,
         *,
         latent: NestedKey = _KEYS.latent,
         extrinsic: NestedKey = _KEYS.extrinsic,

@@ -127,7 +127,9 @@ class CorrelatedGaussian(TensorDictModuleBase):
         self._noise = None if noise is None else noise.clone()
 
 
-def correlate(actor: ProbabilisticActor, correlation: float, action: NestedKey = "action") -> TensorDictSequential:
+def with_correlated_noise(
+    actor: ProbabilisticActor, correlation: float, action: NestedKey = "action"
+) -> TensorDictSequential:
     """Replace an actor's sampling by :class:`CorrelatedGaussian`; the networks stay shared.
 
     Args:
@@ -142,7 +144,7 @@ def correlate(actor: ProbabilisticActor, correlation: float, action: NestedKey =
     Example:
         >>> from torchrl_atr.modules import ActorBackbone, Exploration, RunningNormalizer, make_actor
         >>> actor = make_actor(ActorBackbone(RunningNormalizer(5), RunningNormalizer(4), 3, 2), Exploration(2))
-        >>> correlate(actor, 0.9).in_keys
+        >>> with_correlated_noise(actor, 0.9).in_keys
         ['observation', ('act', 'intrinsic'), ('act', 'extrinsic')]
     """
     *networks, sampler = actor.module

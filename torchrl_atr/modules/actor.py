@@ -31,8 +31,8 @@ class ActorBackbone(nn.Module):
         latent_features (int): size of the latent, L.
         action_features (int): number of actions, A.
         cells (sequence of int): hidden widths. Defaults to ``(512, 256, 128)``.
-        products (sequence of pairs of int): for every ``(i, j)`` the network also reads ``tanh(x_i) * x_j`` of the
-            normalised observation x, times :data:`PRODUCT_SCALE`. A board turns by the product of two tilts, so
+        input_products (sequence of pairs of int): for every ``(i, j)`` the network also reads ``tanh(x_i) * x_j`` of
+            the normalised observation x, times :data:`PRODUCT_SCALE`. A board turns by the product of two tilts, so
             the lean for a yaw command changes sign with the speed command: an exclusive-or, which has no
             gradient at first.
         reflection (Tensor, optional): of the action, (A, A). The mean action of a mirrored robot is then the mirrored
@@ -66,22 +66,22 @@ class ActorBackbone(nn.Module):
         latent_features: int,
         action_features: int,
         cells: Sequence[int] = (512, 256, 128),
-        products: Sequence[tuple[int, int]] = (),
+        input_products: Sequence[tuple[int, int]] = (),
         reflection: Tensor | None = None,
         output_map: Tensor | None = None,
     ) -> None:
         super().__init__()
         size = observation_norm.shape.numel()
-        if any(not 0 <= index < size for pair in products for index in pair):
-            raise ValueError(f"products={list(products)} names entries beyond the observation's {size}.")
-        pairs = torch.tensor(products, dtype=torch.long).reshape(-1, 2)
+        if any(not 0 <= index < size for pair in input_products for index in pair):
+            raise ValueError(f"input_products={list(input_products)} names entries beyond the observation's {size}.")
+        pairs = torch.tensor(input_products, dtype=torch.long).reshape(-1, 2)
         self.register_buffer("_gates", pairs[:, 0], persistent=False)  # on the device: lists would be copied there
         self.register_buffer("_gated", pairs[:, 1], persistent=False)
         output_map = None if output_map is None else _check_output_map(output_map, action_features)
         self.register_buffer("output_map", output_map)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
-        in_features = size + len(products) + latent_features + extrinsic_norm.shape.numel()
+        in_features = size + len(input_products) + latent_features + extrinsic_norm.shape.numel()
         reflections = None
         if reflection is not None:
             mirror = check_reflection(reflection, action_features, "the action's reflection")

@@ -19,7 +19,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._files import write_json
 from torchrl_atr.modules.keys import NetworkKeys
 
-COMMAND_RANGE = "command_range.json"
+COMMAND_RANGE_FILE = "command_range.json"
 """File of a run folder that holds its policy's :class:`CommandRange`; a run without one follows every command."""
 
 
@@ -72,7 +72,7 @@ class CommandRange:
 
     def save(self, folder: str | Path) -> Path:
         """Write the range to a run folder, whose policy is then clipped to it."""
-        path = Path(folder) / COMMAND_RANGE
+        path = Path(folder) / COMMAND_RANGE_FILE
         write_json(path, dataclasses.asdict(self))
         return path
 
@@ -83,7 +83,7 @@ class CommandRange:
         Raises:
             InputError: if the file exists and is not a valid range.
         """
-        path = Path(folder) / COMMAND_RANGE
+        path = Path(folder) / COMMAND_RANGE_FILE
         if not path.is_file():
             return None
         try:
@@ -92,7 +92,7 @@ class CommandRange:
             raise InputError(f"{path} is no range of commands ({error}); remove it, or record it anew") from error
 
 
-class ClippedPolicy(TensorDictModuleBase):
+class CommandClippedPolicy(TensorDictModuleBase):
     """Policy whose commands are clipped to a range.
 
     The command is the last two entries of the observation, and of each row of the history. The input entries
@@ -107,7 +107,7 @@ class ClippedPolicy(TensorDictModuleBase):
         >>> from tensordict import TensorDict
         >>> from tensordict.nn import TensorDictModule
         >>> policy = TensorDictModule(lambda observation: observation[:, -2:], ["observation"], ["action"])
-        >>> clipped = ClippedPolicy(policy, CommandRange(max_speed=2.0, max_yaw_rate=1.0))
+        >>> clipped = CommandClippedPolicy(policy, CommandRange(max_speed=2.0, max_yaw_rate=1.0))
         >>> told = clipped(TensorDict({"observation": torch.full((1, 5), 9.0)}, [1]))
         >>> told["action"].tolist(), told["observation"].max().item()
         ([[2.0, 1.0]], 9.0)

@@ -19,7 +19,7 @@ from torchrl_atr.modules.encoder import IntrinsicEncoder
 from torchrl_atr.modules.estimators import NormalizedEstimator, build_estimator, get_estimator
 from torchrl_atr.modules.exploration import Exploration
 from torchrl_atr.modules.keys import NetworkKeys
-from torchrl_atr.modules.networks import RidingNetworks
+from torchrl_atr.modules.networks import ROANetworks
 from torchrl_atr.modules.normalization import RunningNormalizer
 from torchrl_atr.modules.sizes import check_widths, entry, entry_shape, estimator_sizes, input_sizes
 
@@ -34,7 +34,7 @@ def make_networks(
     latent_features: int = 16,
     encoder_cells: Sequence[int] = (128, 64),
     actor_cells: Sequence[int] = (512, 256, 128),
-    products: Sequence[tuple[int, int]] = (),
+    input_products: Sequence[tuple[int, int]] = (),
     output_map: Tensor | None = None,
     exploration: Exploration | None = None,
     critic_cells: Sequence[int] = (512, 256, 128),
@@ -42,7 +42,7 @@ def make_networks(
     critic_inputs: Sequence[NestedKey] = (),
     reflections: Mapping[NestedKey, Tensor] | None = None,
     keys: NetworkKeys | None = None,
-) -> RidingNetworks:
+) -> ROANetworks:
     """Build the networks of Table I for an env; sizes and the dtype, the observation's, are read from its specs.
 
     Args:
@@ -57,7 +57,7 @@ def make_networks(
         latent_features (int): size of z. Defaults to 16.
         encoder_cells (sequence of int): hidden widths of the encoder.
         actor_cells (sequence of int): hidden widths of the actor.
-        products (sequence of pairs of int): see :class:`~torchrl_atr.modules.ActorBackbone`.
+        input_products (sequence of pairs of int): see :class:`~torchrl_atr.modules.ActorBackbone`.
         output_map (Tensor, optional): see :class:`~torchrl_atr.modules.ActorBackbone`.
         exploration (Exploration, optional): of as many actions; it becomes part of the networks, in their dtype.
             None, the default, is ``Exploration(A)``.
@@ -72,7 +72,7 @@ def make_networks(
         keys (NetworkKeys, optional): names of the entries, if the env has its own.
 
     Returns:
-        RidingNetworks
+        ROANetworks
 
     Raises:
         KeyError: if a spec or the reflections lack an entry. ValueError: if the history does not match the
@@ -113,7 +113,7 @@ def make_networks(
         encoder = IntrinsicEncoder(intrinsic, latent_features, encoder_cells, mirror(keys.intrinsic))
         nets = {name: make_estimator(history_shape=shape, out_features=out) for name, (shape, out) in sizes.items()}
         backbone = ActorBackbone(
-            obs_norm, ext_norm, latent_features, actions, actor_cells, products, mirror(keys.action), output_map
+            obs_norm, ext_norm, latent_features, actions, actor_cells, input_products, mirror(keys.action), output_map
         )
         critic = AsymmetricCritic(
             obs_norm,
@@ -123,7 +123,7 @@ def make_networks(
             input_norms,
             intrinsic_reflection=mirror(keys.intrinsic),
         )
-        return RidingNetworks(
+        return ROANetworks(
             obs_norm=obs_norm,
             ext_norm=ext_norm,
             encoder=encoder,

@@ -11,9 +11,9 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
-from torchrl_atr.modules.act_source import ActSource, AssignActSource, Source, check_source
+from torchrl_atr.modules.act_source import ActSource, ActSourceName, AssignActSource, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
-from torchrl_atr.modules.command_range import ClippedPolicy, CommandRange
+from torchrl_atr.modules.command_range import CommandClippedPolicy, CommandRange
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.estimators import NormalizedEstimator
 from torchrl_atr.modules.exploration import Exploration
@@ -21,7 +21,7 @@ from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
 
 
-class RidingNetworks(nn.Module):
+class ROANetworks(nn.Module):
     """Container of the five networks of Table I and the critic; all its policies share their parameters.
 
     Build it with :func:`~torchrl_atr.modules.make_networks`. The TensorDictModules it returns are views: making one
@@ -103,7 +103,7 @@ class RidingNetworks(nn.Module):
         in_keys = [keys.observation, *privileged, *self.critic_inputs]
         return ValueOperator(self.critic, in_keys=in_keys, out_keys=[keys.state_value])
 
-    def training_actor(self, source: Source = "privileged") -> ProbabilisticActor:
+    def training_actor(self, source: ActSourceName = "privileged") -> ProbabilisticActor:
         """Return the actor that the loss differentiates.
 
         With ``estimated`` and ``mixed`` it reads the estimates (and the mask) that the rollout recorded
@@ -114,7 +114,7 @@ class RidingNetworks(nn.Module):
         front = [] if source == "estimated" else [self.encoder_module]
         return self._actor(source, *front)
 
-    def rollout_policy(self, source: Source = "privileged", student_fraction: float = 0.5) -> ProbabilisticActor:
+    def rollout_policy(self, source: ActSourceName = "privileged", student_fraction: float = 0.5) -> ProbabilisticActor:
         """Return the actor for collection; it computes and records the inputs of :meth:`training_actor`.
 
         Args:
@@ -140,7 +140,7 @@ class RidingNetworks(nn.Module):
         ``Learner.deployed`` are in eval mode.
         """
         policy = self.rollout_policy("estimated")
-        return policy if self.command_range is None else ClippedPolicy(policy, self.command_range, self.keys)
+        return policy if self.command_range is None else CommandClippedPolicy(policy, self.command_range, self.keys)
 
     def update_normalizers(self, tensordict: TensorDictBase) -> None:
         """Merge a batch's observations, extrinsic states and further inputs into the running statistics.
@@ -174,7 +174,7 @@ class RidingNetworks(nn.Module):
         """Iterate over the parameters that the estimator losses train: both estimators."""
         return chain(self.intrinsic_estimator.parameters(), self.extrinsic_estimator.parameters())
 
-    def _actor(self, source: Source, *front: Any) -> ProbabilisticActor:
+    def _actor(self, source: ActSourceName, *front: Any) -> ProbabilisticActor:
         keys = self.keys
         act_source = ActSource(
             source,

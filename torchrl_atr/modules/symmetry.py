@@ -56,7 +56,7 @@ def halves_swapped(features: int) -> Tensor:
     return torch.eye(features).roll(features // 2, 0)
 
 
-class SymmetricLinear(nn.Module):
+class EquivariantLinear(nn.Module):
     """Linear layer with f(R x) = S f(x) for reflections R of its inputs and S of its outputs.
 
     It maps the even part of its inputs, x + R x, to the even part of its outputs and the odd part, x - R x, to the odd
@@ -70,7 +70,7 @@ class SymmetricLinear(nn.Module):
         ValueError: if either is not a reflection.
 
     Example:
-        >>> layer = SymmetricLinear(torch.diag(torch.tensor([1.0, -1.0])), halves_swapped(4))
+        >>> layer = EquivariantLinear(torch.diag(torch.tensor([1.0, -1.0])), halves_swapped(4))
         >>> x = torch.tensor([2.0, 3.0])
         >>> bool(torch.allclose(layer(x * torch.tensor([1.0, -1.0])), layer(x).roll(2), atol=1e-6))
         True
@@ -189,10 +189,10 @@ def make_mlp(
     """
     if reflections is None:
         return MLP(in_features, out_features, num_cells=list(cells), activation_class=nn.ELU)
-    return symmetric_mlp(*reflections, cells)
+    return equivariant_mlp(*reflections, cells)
 
 
-def symmetric_mlp(inputs: Tensor, outputs: Tensor, cells: Sequence[int]) -> nn.Sequential:
+def equivariant_mlp(inputs: Tensor, outputs: Tensor, cells: Sequence[int]) -> nn.Sequential:
     """Return an MLP with ELU between its layers that commutes with reflections.
 
     Args:
@@ -204,9 +204,9 @@ def symmetric_mlp(inputs: Tensor, outputs: Tensor, cells: Sequence[int]) -> nn.S
         ValueError: for an odd width, for none, or a matrix that is not a reflection.
 
     Example:
-        >>> symmetric_mlp(torch.eye(3), torch.eye(1), [8, 4])(torch.zeros(2, 3)).shape
+        >>> equivariant_mlp(torch.eye(3), torch.eye(1), [8, 4])(torch.zeros(2, 3)).shape
         torch.Size([2, 1])
     """
     *hidden, last = itertools.pairwise([inputs, *(halves_swapped(cell) for cell in cells), outputs])
-    activated = ((SymmetricLinear(*pair), nn.ELU()) for pair in hidden)
-    return nn.Sequential(*itertools.chain.from_iterable(activated), SymmetricLinear(*last))
+    activated = ((EquivariantLinear(*pair), nn.ELU()) for pair in hidden)
+    return nn.Sequential(*itertools.chain.from_iterable(activated), EquivariantLinear(*last))

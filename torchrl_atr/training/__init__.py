@@ -2,7 +2,7 @@
 
 from torchrl_atr._threads import TorchThreads
 from torchrl_atr.training.assembly import (
-    DEPLOYED,
+    DEPLOYMENT_OVERRIDES,
     make_env,
     make_policy,
     make_reward_schedule,
@@ -17,11 +17,11 @@ from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.loading import load_run
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory
 from torchrl_atr.training.presets import PRESETS, TASK_SETTINGS, additions
-from torchrl_atr.training.restoring import run_config
+from torchrl_atr.training.restoring import checkpoint_config
 from torchrl_atr.training.trainer import Trainer
 
 __all__ = [
-    "DEPLOYED",
+    "DEPLOYMENT_OVERRIDES",
     "PRESETS",
     "TASK_SETTINGS",
     "Callback",
@@ -37,6 +37,7 @@ __all__ = [
     "Trainer",
     "TrainingDiverged",
     "additions",
+    "checkpoint_config",
     "load_checkpoint",
     "load_run",
     "make_config",
@@ -47,6 +48,5 @@ __all__ = [
     "make_run_networks",
     "parse_settings",
     "read_config",
-    "run_config",
     "save_checkpoint",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -20,8 +21,15 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS
-from torchrl_atr.envs.transforms import CommandGrid, LimitGrowth
-from torchrl_atr.modules import Exploration, NetworkKeys, RidingNetworks, correlate, hadamard_leg_basis, make_networks
+from torchrl_atr.envs.transforms import CommandGrid, TimeLimitGrowth
+from torchrl_atr.modules import (
+    Exploration,
+    NetworkKeys,
+    ROANetworks,
+    hadamard_leg_basis,
+    make_networks,
+    with_correlated_noise,
+)
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.sizes import estimator_sizes
 from torchrl_atr.objectives import ROAClipPPOLoss
@@ -29,15 +37,20 @@ from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.env_access import attribute
 from torchrl_atr.training.settings import ExplorationConfig
 
-TOGETHER = 10
+TIME_LIMIT_CHECK_INTERVAL = 10
 """Interval in control steps at which time limits are checked, a divisor of the default recipe's 1000."""
-LOADED: dict[str, Any] = {"compiled": False, "stagger": 0, "limit_growth": None, "compact_storage": False}
+LOADING_OVERRIDES: dict[str, Any] = {
+    "compiled": False,
+    "stagger": 0,
+    "time_limit_growth": None,
+    "compact_storage": False,
+}
 """Env arguments of a run that is loaded, not trained: there may be no compiler."""
-TASK_ONLY: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "drifted_start": 0.0, "pushes": False}
-"""Task arguments that turn off what belongs to training only."""
-DEPLOYED: dict[str, Any] = {
-    **LOADED,
-    **TASK_ONLY,
+TASK_OVERRIDES: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "drifted_start": 0.0, "pushes": False}
+"""Arguments of a task's function that turn off what belongs to training only."""
+DEPLOYMENT_OVERRIDES: dict[str, Any] = {
+    **LOADING_OVERRIDES,
+    **TASK_OVERRIDES,
     "overspeed_margin": None,
     "max_steps": 2**31 - 1,
     "failed_episode_replay": 0.0,
@@ -52,8 +65,8 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
     Args:
         config: of a run.
         **overrides: arguments of :func:`torchrl_atr.envs.make_env`, or of the task's function, to replace; those of
-            :data:`DEPLOYED` that the task does not have are left out, and ``grid=None`` is the task's grid with the
-            run's bounds where those are wider.
+            :data:`DEPLOYMENT_OVERRIDES` that the task does not have are left out, and ``grid=None`` is the task's grid
+            with the run's bounds where those are wider.
 
     Raises:
         ConfigError: for a robot, a transporter or sensors that the task does not have.
@@ -73,8 +86,8 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "failed_episode_replay": config.env.failed_episode_replay,
         "history_length": config.env.history_length,
         "max_steps": round(config.env.episode_seconds / CONTROL_DT),
-        "stagger": TOGETHER if config.env.staggered_starts else 0,
-        "limit_growth": _limit_growth(config),
+        "stagger": TIME_LIMIT_CHECK_INTERVAL if config.env.staggered_starts else 0,
+        "time_limit_growth": _time_limit_growth(config),
         "window": round(config.curriculum.command_seconds / CONTROL_DT),
         "thresholds": (config.curriculum.tracking_threshold,) * 2,
         "score_from": round(config.curriculum.score_from_seconds / CONTROL_DT),
@@ -82,19 +95,19 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "overspeed_margin": config.env.overspeed_margin or None,
         "grid": trained,
     }
-    arguments |= {name: value for name, value in overrides.items() if name not in TASK_ONLY}
+    arguments |= {name: value for name, value in overrides.items() if name not in TASK_OVERRIDES}
     made = config.make_task(**task)
     if arguments["grid"] is None:
         arguments["grid"] = _widened(made.command.grid, trained)
     return envs.make_env(made, **arguments)
 
 
-def _limit_growth(config: TrainConfig) -> LimitGrowth | None:
+def _time_limit_growth(config: TrainConfig) -> TimeLimitGrowth | None:
     first, steps = config.env.first_episode_seconds, config.total_frames / config.env.num_envs
     if not 0 < first < config.env.episode_seconds or not config.env.staggered_starts:
         return None
     begin, end = round(config.env.episodes_grow_from * steps), round(config.env.episodes_grow_until * steps)
-    return LimitGrowth(max(1, round(first / CONTROL_DT)), begin, end)
+    return TimeLimitGrowth(max(1, round(first / CONTROL_DT)), begin, end)
 
 
 def _widened(grid: CommandGrid | None, other: CommandGrid | None) -> CommandGrid | None:
@@ -105,7 +118,7 @@ def _widened(grid: CommandGrid | None, other: CommandGrid | None) -> CommandGrid
     return dataclasses.replace(grid, bounds=(speed, yaw_rate))
 
 
-def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetworks:
+def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
     """Return the networks that a configuration describes, sized by the env's specs.
 
     Raises:
@@ -116,18 +129,13 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
     spec = env.observation_spec
     size = spec["observation"].shape[-1]  # the command is the end of o_t
     exploration, output_map = _exploration(config.exploration, env.action_spec.shape[-1])
-    critic_inputs: list[NestedKey] = []
-    if config.ppo.privileged_critic:
-        critic_inputs = _optional(
-            "ppo.tracking_forecast", config.ppo.tracking_forecast, NetworkKeys.tracking_forecast, spec
-        )
     return make_networks(
         spec,
         env.action_spec,
         estimator=config.estimator.name,
         estimator_kwargs=config.estimator.arguments,
         estimator_inputs=_estimator_inputs(config, spec),
-        products=[(size - 2, size - 1)] if config.ppo.command_interaction else [],
+        input_products=[(size - 2, size - 1)] if config.ppo.command_interaction else [],
         latent_features=config.roa.latent_features,
         encoder_cells=config.roa.encoder_cells,
         output_map=output_map,
@@ -135,7 +143,9 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> RidingNetwork
         actor_cells=config.ppo.actor_cells,
         critic_cells=config.ppo.critic_cells,
         privileged_critic=config.ppo.privileged_critic,
-        critic_inputs=critic_inputs,
+        critic_inputs=_input(config, "ppo.tracking_forecast", NetworkKeys.tracking_forecast, spec)
+        if config.ppo.privileged_critic
+        else [],
         reflections=env.base_env.reflections if config.ppo.symmetric else None,
     )
 
@@ -174,18 +184,12 @@ def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
 
 
 def _estimator_inputs(config: TrainConfig, spec: Composite) -> list[NestedKey]:
-    return _optional(
-        "estimator.dead_reckoning", config.estimator.dead_reckoning, NetworkKeys.dead_reckoned_velocity, spec
-    )
+    return _input(config, "estimator.dead_reckoning", NetworkKeys.dead_reckoned_velocity, spec)
 
 
-def _optional(setting: str, value: bool, key: NestedKey, spec: Composite) -> list[NestedKey]:
-    """Return the entry that a setting makes a network read, if it does.
-
-    Raises:
-        ConfigError: if the env has no such entry.
-    """
-    if not value:
+def _input(config: TrainConfig, setting: str, key: NestedKey, spec: Composite) -> list[NestedKey]:
+    """Return the entry that a setting makes a network read, if it does; ConfigError if the env has no such entry."""
+    if not operator.attrgetter(setting)(config):
         return []
     if key not in spec.keys(True, True):
         raise ConfigError(
@@ -195,7 +199,7 @@ def _optional(setting: str, value: bool, key: NestedKey, spec: Composite) -> lis
 
 
 def make_run_loss(
-    config: TrainConfig, networks: RidingNetworks, loss_class: type[ROAClipPPOLoss] = ROAClipPPOLoss, **more: Any
+    config: TrainConfig, networks: ROANetworks, loss_class: type[ROAClipPPOLoss] = ROAClipPPOLoss, **more: Any
 ) -> ROAClipPPOLoss:
     """Return the loss that a configuration describes.
 
@@ -234,17 +238,13 @@ def make_run_loss(
 
 
 def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
-    """Return the factor of each reward term by name, a function of the run's progress in [0, 1].
-
-    Args:
-        env: whose task may have a ``reward_schedule``.
-    """
+    """Return the factors of the reward terms of the env's task over a run: functions of its progress in [0, 1]."""
     return dict(getattr(attribute(env, "task"), "reward_schedule", {}))
 
 
-def make_policy(config: TrainConfig, networks: RidingNetworks) -> TensorDictSequential:
+def make_policy(config: TrainConfig, networks: ROANetworks) -> TensorDictSequential:
     """Return the policy that a run collects with; it shares the networks."""
     actor = networks.rollout_policy(config.roa.act_source)
     if config.compiles_networks and config.compute.collector == "direct":  # compiled modules cannot be sent to workers
         compile_methods(actor.module[0], "forward")
-    return correlate(actor, config.exploration.noise_correlation)
+    return with_correlated_noise(actor, config.exploration.noise_correlation)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -27,22 +27,9 @@ _LOG = logging.getLogger(__name__)
 class Callback:
     """Base class of code that a :class:`~torchrl_atr.training.Trainer` calls at fixed points; override what is needed.
 
-    Each method does nothing here, and one that is not overridden is never called. They replace the hooks of
-    :meth:`torchrl.trainers.Trainer.register_op`, named beside each, which only a TorchRL trainer calls: it has one loss
-    and one optimisation stepper (policy and estimators learn in phases here), and its hooks cannot end a run.
-
-    ======================  ==================================================================  =====================
-    method                  called                                                              of ``register_op``
-    ======================  ==================================================================  =====================
-    :meth:`on_train_begin`  as :meth:`Trainer.train` begins, workers started                    ``setup``
-    :meth:`on_batch`        with each batch, before metrics and advantages                      ``batch_process``
-    :meth:`on_minibatch`    with what each optimiser step reads                                 ``process_optim_batch``
-    :meth:`on_loss`         with the terms that each optimiser step minimises                   ``process_loss``
-    :meth:`on_iteration`    with the metrics of each iteration, before they are logged          ``post_steps_log``
-    :meth:`on_checkpoint`   with each checkpoint, before it is written
-    :meth:`on_resume`       with the checkpoint that a run continues from, once it is restored
-    :meth:`on_train_end`    as :meth:`Trainer.train` ends, however it does                      ``shutdown``
-    ======================  ==================================================================  =====================
+    A method that is not overridden is never called. They replace the hooks of
+    :meth:`torchrl.trainers.Trainer.register_op`, which only a TorchRL trainer calls: it has one loss and one
+    optimisation stepper (policy and estimators learn in phases here), and its hooks cannot end a run.
 
     Attributes:
         in_keys: entries of the batch that :meth:`on_minibatch` or :meth:`on_loss` read; a minibatch otherwise holds
@@ -64,10 +51,10 @@ class Callback:
         return type(self).__name__
 
     def on_train_begin(self, trainer: Trainer) -> None:
-        """Prepare; ``trainer`` has ``env``, ``learner``, ``config``, ``run``."""
+        """Prepare, workers started; ``trainer`` has ``env``, ``learner``, ``config``, ``run`` (TorchRL: ``setup``)."""
 
     def on_batch(self, batch: TensorDictBase) -> TensorDictBase:
-        """Return the batch to learn from.
+        """Return the batch to learn from, before metrics and advantages (TorchRL: ``batch_process``).
 
         Args:
             batch: (N, T), on the CPU. Entries can be set; the tensors themselves are the collector's and must not be
@@ -76,7 +63,7 @@ class Callback:
         return batch
 
     def on_minibatch(self, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
-        """Return what an optimiser step reads.
+        """Return what an optimiser step reads (TorchRL: ``process_optim_batch``).
 
         Args:
             minibatch: (B,), on the learner's device, with what the loss reads and :attr:`in_keys`. Entries can be set;
@@ -86,22 +73,18 @@ class Callback:
         return minibatch
 
     def on_loss(self, terms: TensorDictBase, minibatch: TensorDictBase, phase: Phase) -> TensorDictBase:
-        """Return the terms of an optimiser step; the sum of those called ``loss_...`` is minimised, all are logged.
+        """Return the terms of an optimiser step, scalars, from those that the loss computed of a minibatch.
 
-        On a GPU it needs ``compiled=False``: there compiled steps are CUDA graphs, which run no Python.
-
-        Args:
-            terms: scalars, of the loss.
-            minibatch: what they were computed from.
-            phase: what the step trains.
+        The sum of those called ``loss_...`` is minimised, all are logged (TorchRL: ``process_loss``). On a GPU it needs
+        ``compiled=False``: there compiled steps are CUDA graphs, which run no Python.
         """
         return terms
 
     def on_iteration(self, metrics: dict[str, float]) -> bool | None:
-        """Inspect an iteration's metrics, or add some, which are logged; its time is not part of the run's.
+        """Inspect an iteration's metrics, or add some, which are logged (TorchRL: ``post_steps_log``).
 
         Returns:
-            True to end the run here; None or False to continue.
+            True to end the run here; None or False to continue. The call's time is not part of the run's.
         """
         return None
 
@@ -112,7 +95,7 @@ class Callback:
         """Inspect the checkpoint that the run continues from, after :meth:`load_state_dict`."""
 
     def on_train_end(self) -> None:
-        """Clean up, after the last checkpoint; also called if an error ended the run."""
+        """Clean up after the last checkpoint; also called if an error ended the run (TorchRL: ``shutdown``)."""
 
     def state_dict(self) -> dict[str, Any]:
         """Return what a resumed run needs of this callback: nested dicts of tensors, numbers and texts."""
@@ -128,9 +111,6 @@ _HOOKS = tuple(name for name in vars(Callback) if name.startswith("on_"))
 class Callbacks:
     """Callbacks of a run, in order; hooks that none overrides cost nothing.
 
-    Args:
-        callbacks: each a :class:`Callback`.
-
     Raises:
         ConfigError: if one is not a :class:`Callback`, two have the same name, ``in_keys`` is not a list of keys, or a
             state is more than tensors, numbers and texts.
@@ -143,15 +123,15 @@ class Callbacks:
         for callback in self._all:
             if not isinstance(callback, Callback):
                 raise ConfigError(f"callbacks: {callback!r} is not a Callback object; subclass torchrl_atr's Callback")
-            _check_in_keys(callback)
+            try:
+                check_keys("in_keys", callback.in_keys)
+            except InputError as error:
+                raise ConfigError(f"{error} (of the callback {callback.name!r})") from None
         names = [callback.name for callback in self._all]
         if doubled := [name for name in names if names.count(name) > 1]:
             raise ConfigError(f"two callbacks are called {doubled[0]!r}; give one another `name`")
         self._by_hook = {hook: [each for each in self._all if _overrides(each, hook)] for hook in _HOOKS}
         self.state_dict()
-
-    def __iter__(self) -> Iterator[Callback]:
-        return iter(self._all)
 
     def calling(self, hook: str) -> list[Callback]:
         """Return the callbacks that override a hook."""
@@ -167,11 +147,7 @@ class Callbacks:
         return [getattr(callback, hook)(*arguments) for callback in self._by_hook[hook]]
 
     def through(self, hook: str, data: TensorDictBase, *arguments: Any) -> TensorDictBase:
-        """Return ``data`` after a hook of each callback; the TensorDict that is given keeps its entries.
-
-        Raises:
-            ConfigError: if one returns something else than a TensorDict.
-        """
+        """Return ``data`` after a hook of each callback, a TensorDict too; the one that is given keeps its entries."""
         for callback in self._by_hook[hook]:
             data = getattr(callback, hook)(data.copy(), *arguments)
             if not isinstance(data, TensorDictBase):
@@ -186,16 +162,13 @@ class Callbacks:
             _check_plain({name: state[name] for name in state.keys() - before}, callback, "on_checkpoint added")
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the states by name, without empty ones.
-
-        Raises:
-            ConfigError: if one holds more than tensors, numbers and texts.
-        """
-        states = {callback.name: callback.state_dict() for callback in self._all}
+        """Return the states by name, without empty ones; ConfigError if one is more than tensors, numbers and texts."""
+        states = {}
         for callback in self._all:
-            if states[callback.name]:
-                _check_plain(states[callback.name], callback, "state_dict returned")
-        return {name: state for name, state in states.items() if state}
+            if state := callback.state_dict():
+                _check_plain(state, callback, "state_dict returned")
+                states[callback.name] = state
+        return states
 
     def load_state_dict(self, states: Mapping[str, Any]) -> None:
         """Restore :meth:`state_dict`; the state of a callback that the run does not have is skipped, with a warning.
@@ -204,9 +177,7 @@ class Callbacks:
             CheckpointError: if a callback cannot take its state.
         """
         for name in states.keys() - {callback.name for callback in self._all}:
-            _LOG.warning(
-                "the checkpoint holds a state of the callback %r, which is not among the run's callbacks", name
-            )
+            _LOG.warning("the checkpoint has a state of the callback %r, which is not among the run's callbacks", name)
         for callback in self._all:
             if callback.name not in states:
                 continue
@@ -219,22 +190,14 @@ class Callbacks:
                 ) from error
 
 
-def _check_in_keys(callback: Callback) -> None:
-    try:
-        check_keys("in_keys", callback.in_keys)
-    except InputError as error:
-        raise ConfigError(f"{error} (of the callback {callback.name!r})") from None
-
-
 def _overrides(callback: Callback, hook: str) -> bool:
-    method: Callable[..., Any] = getattr(callback, hook)
+    method: Any = getattr(callback, hook)
     return getattr(method, "__func__", method) is not getattr(Callback, hook)
 
 
 def _check_plain(state: Any, callback: Callback, what: str) -> None:
-    buffer = io.BytesIO()
     try:
-        torch.save(state, buffer)
+        torch.save(state, buffer := io.BytesIO())
         buffer.seek(0)
         torch.load(buffer, weights_only=True)
     except Exception as error:

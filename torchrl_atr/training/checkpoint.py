@@ -43,11 +43,7 @@ def rng_state() -> dict[str, Any]:
 
 
 def load_rng_state(state: Mapping[str, Any] | Tensor) -> None:
-    """Restore :func:`rng_state`, as far as this machine has such generators.
-
-    Args:
-        state: from :func:`rng_state`, or of torch's generator alone, which earlier checkpoints have.
-    """
+    """Restore :func:`rng_state`, or torch's alone from an earlier checkpoint, as far as there are such generators."""
     here = rng_state()
     saved = {"torch_cpu": state} if isinstance(state, Tensor) else state
     known = {name: value for name, value in saved.items() if name in here}
@@ -63,12 +59,12 @@ class CheckpointError(UserError, RuntimeError):
 def save_checkpoint(path: Path, state: dict[str, Any], best: bool = False) -> None:
     """Write ``state`` beside ``path``, read it back, then move it into place: a crash leaves the old one.
 
-    What ``path`` held before stays as ``previous.pt``.
+    What ``path`` held before stays as ``previous.pt``; with ``best``, ``best.pt`` becomes this one too.
 
     Args:
         path: of the checkpoint.
         state: nested dicts of tensors, numbers and strings.
-        best: whether ``best.pt`` becomes this one too.
+        best: whether it is the best one so far.
 
     Raises:
         OSError: if it cannot be written; names ``path``.
@@ -124,16 +120,17 @@ def load_checkpoint(path: str | Path, device: str = "cpu") -> dict[str, Any]:
             raise
         _LOG.warning("%s; taking %s instead", error, file)
         state = read_checkpoint(file, device)
-    _check_version(state["version"], file, run, _writer(state))
+    if (version := state["version"]) != VERSION:
+        writer = state.get("provenance", {}).get("versions", {}).get("torchrl_atr")
+        remedy = f"use the torchrl_atr that wrote it{f' ({writer})' if writer else ''}, or train anew"
+        if isinstance(version, int) and 1 <= version < VERSION:
+            remedy = f"convert it with `python scripts/convert_run.py {shlex.quote(str(run))}` of a clone, or {remedy}"
+        raise CheckpointError(f"{file} has checkpoint version {version!r}; this code reads version {VERSION}: {remedy}")
     return state
 
 
 def read_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     """Read a checkpoint of any version, such as one that is to be converted.
-
-    Args:
-        path: of the file.
-        device: where tensors go.
 
     Raises:
         CheckpointError: if it is missing, damaged, or not a checkpoint of this package.
@@ -161,23 +158,9 @@ def read_checkpoint(path: Path, device: str = "cpu") -> dict[str, Any]:
     return state
 
 
-def _check_version(version: Any, path: Path, run: Path, writer: str) -> None:
-    if version == VERSION:
-        return
-    remedy = f"use the torchrl_atr that wrote it{writer}, or train anew"
-    if isinstance(version, int) and 1 <= version < VERSION:
-        remedy = f"convert it with `python scripts/convert_run.py {shlex.quote(str(run))}` of a clone, or {remedy}"
-    raise CheckpointError(f"{path} has checkpoint version {version!r}; this code reads version {VERSION}: {remedy}")
-
-
 def _check_whole(path: Path) -> None:
     """Compare checksums, which loading does not: a flipped bit is a wrong weight."""
     with zipfile.ZipFile(path) as archive:
         damaged = archive.testzip()
     if damaged is not None:
         raise zipfile.BadZipFile(damaged)
-
-
-def _writer(state: dict[str, Any]) -> str:
-    versions = state.get("provenance", {}).get("versions", {})
-    return f" ({versions['torchrl_atr']})" if "torchrl_atr" in versions else ""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -19,10 +18,11 @@ from torchrl.collectors import BaseCollector, Collector
 from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
+from torchrl_atr._cpus import available_cpus
 from torchrl_atr._errors import UserError, first_line
 from torchrl_atr._torchrl_private import carried_root
 from torchrl_atr.modules import DeviceBridge
-from torchrl_atr.training.config import SEED_STRIDE, TrainConfig
+from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
 
 _PLAIN = {"auto_register_policy_transforms": False}
@@ -30,8 +30,8 @@ _PLAIN = {"auto_register_policy_transforms": False}
 _CURRICULUM = "env.curriculum"
 _ENDLESS = 2**62
 """Frames, for the engines that do not read -1 as endless."""
-_RESUME_STRIDE = 7919
-"""Difference of the seeds of a worker that starts at one iteration and at the next."""
+_WORKER_STRIDE, _RESUME_STRIDE = 1000, 7919
+"""Differences of the seeds of two workers, and of a worker that starts at one iteration and at the next."""
 
 
 class CollectionError(UserError, RuntimeError):
@@ -53,7 +53,7 @@ class Collection:
         started: iterations that the run has completed, so that workers of a resumed run draw other robots.
 
     Raises:
-        CollectionError: if a worker dies while it starts.
+        CollectionError: if a worker dies, here or in any method.
     """
 
     def __init__(
@@ -68,14 +68,12 @@ class Collection:
         self.curriculum = curriculum_of(env)
         self.remote = config.compute.collector != "direct"
         self.callable = config.compute.collector in ("process", "ray")
-        self._broken = False
-        self._started = started
+        self._broken, self._started = False, started
         self._others = set(multiprocessing.active_children())  # started by other code
         try:
             with self._workers("could not be started"):
                 self.collector = self._make(make_env)
-                self.publish()
-                self._spread()
+                self.exchange()
                 self._batches = iter(self.collector)
         except CollectionError:
             self.shutdown()
@@ -93,7 +91,7 @@ class Collection:
         if not self.remote:
             plain = {"track_traj_ids": False, "return_same_td": True, "trust_policy": True, **_PLAIN}
             return Collector(self.env, _for_cpu_data(self.policy, config), **plain, **common)
-        threads = config.threads_each(config.compute.workers)
+        threads = max(1, (config.compute.num_threads or available_cpus()) // config.compute.workers)
         weights = None if self.curriculum is None else self.curriculum.weights.clone()
         makers = [
             partial(
@@ -101,7 +99,7 @@ class Collection:
                 make_env,
                 weights,
                 num_envs=config.env.num_envs // config.compute.workers,
-                seed=(config.seed + SEED_STRIDE * (worker + 1) + _RESUME_STRIDE * self._started) % 2**31,
+                seed=(config.seed + _WORKER_STRIDE * (worker + 1) + _RESUME_STRIDE * self._started) % 2**31,
                 num_threads=threads,
             )
             for worker in range(config.compute.workers)
@@ -111,37 +109,23 @@ class Collection:
         )
 
     def collect(self) -> TensorDictBase:
-        """Return the next batch, (N, T), in memory that the one after it may overwrite.
-
-        Raises:
-            CollectionError: if a worker died.
-        """
+        """Return the next batch, (N, T), in memory that the one after it may overwrite."""
         with self._workers():
             batch = next(self._batches)
         return batch.contiguous().flatten(0, 1) if batch.ndim == 3 else batch  # stacked lazily by worker
 
-    def publish(self) -> None:
-        """Send the learner's parameters to the workers.
-
-        Raises:
-            CollectionError: if a worker died.
-        """
-        if self.remote:
-            with self._workers():
-                self.collector.update_policy_weights_()
-
     @torch.no_grad()
     def exchange(self) -> None:
-        """Merge the workers' curricula by elementwise maximum and send the result to all of them.
-
-        Raises:
-            CollectionError: if a worker died.
-        """
-        if self.callable and self.curriculum is not None:
-            with self._workers():
+        """Send the learner's parameters to the workers, and to each the elementwise maximum of all curricula."""
+        if not self.remote:
+            return
+        with self._workers():
+            self.collector.update_policy_weights_()
+            if self.callable and self.curriculum is not None:
                 for weights in self.collector.get_distant_attr(f"{_CURRICULUM}.weights"):
                     self.curriculum.merge_(weights)
-                self._spread()
+                arguments = [(self.curriculum.weights.clone(),)] * self.config.compute.workers
+                self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
 
     @contextmanager
     def _workers(self, what: str = "failed") -> Iterator[None]:
@@ -156,11 +140,6 @@ class Collection:
                 f"collector={self.config.compute.collector!r}: a worker {what} ({first_line(error)}, see above); "
                 "continue from the last checkpoint with --resume"
             ) from error
-
-    def _spread(self) -> None:
-        if self.callable and self.curriculum is not None:
-            arguments = [(self.curriculum.weights.clone(),)] * self.config.compute.workers
-            self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
 
     @property
     def num_diverged(self) -> int | None:
@@ -180,10 +159,9 @@ class Collection:
         return metrics if diverged is None else {**metrics, "diverged": diverged}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state that the next batch depends on besides the networks, in tensors; empty with workers.
+        """Return the state that the next batch depends on besides the networks, in tensors.
 
-        Workers start new episodes when a run is resumed, and so does an env without a state of its own
-        (:func:`~torchrl_atr.training.env_access.env_state`); in this process episodes continue.
+        It is empty with workers and for an env without a state of its own: a resumed run then starts new episodes.
         """
         env = {} if self.remote else env_state(self.env)
         if not env:
@@ -195,11 +173,7 @@ class Collection:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore :meth:`state_dict`.
-
-        Raises:
-            CheckpointError: if it is of other transforms.
-        """
+        """Restore :meth:`state_dict`; a CheckpointError says that it is of other transforms."""
         if self.remote or not state:
             return
         load_env_state(self.env, state)
@@ -235,11 +209,8 @@ class Collection:
 
 def _for_cpu_data(policy: TensorDictModuleBase, config: TrainConfig) -> Callable[[TensorDictBase], TensorDictBase]:
     """Return the policy, on any device, as a function of CPU data; as a module it would be copied to the CPU."""
-    return (
-        policy
-        if config.compute.device == "cpu"
-        else DeviceBridge(policy, config.compute.device, config.captures_graphs).forward
-    )
+    device = config.compute.device
+    return policy if device == "cpu" else DeviceBridge(policy, device, config.captures_graphs).forward
 
 
 def _engine(config: TrainConfig, threads: int) -> dict[str, Any]:
@@ -252,15 +223,11 @@ def _engine(config: TrainConfig, threads: int) -> dict[str, Any]:
         cluster = {} if os.environ.get("RAY_ADDRESS") else here  # a cluster has its own resources
         options: dict[str, Any] = {"ray_init_config": cluster, "remote_configs": {"num_cpus": threads, "num_gpus": 0}}
     else:
-        options = {"launcher": "mp", "backend": "gloo", "tcp_port": _free_port()}
+        from torch.distributed.elastic.utils.distributed import get_free_port
+
+        options = {"launcher": "mp", "backend": "gloo", "tcp_port": get_free_port()}
     options["collector_kwargs"] = dict(_PLAIN)
     return {"backend": config.compute.collector, "total_frames": _ENDLESS, "backend_options": options}
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("localhost", 0))
-        return probe.getsockname()[1]
 
 
 def _worker_env(make_env: Callable[..., EnvBase], weights: Tensor | None, *, seed: int, **share: Any) -> EnvBase:

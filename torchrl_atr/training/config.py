@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
+import operator
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,7 +14,6 @@ from typing import Any
 import torch
 
 from torchrl_atr._config_files import read_values
-from torchrl_atr._cpus import available_cpus
 from torchrl_atr._nested import build, from_text, merged
 from torchrl_atr._registry import import_modules
 from torchrl_atr._settings import ConfigError, Settings, setting
@@ -24,9 +24,6 @@ from torchrl_atr.envs.tasks import TASKS, Task, make_task
 from torchrl_atr.envs.tasks.overrides import override
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.training import settings as groups
-
-SEED_STRIDE = 1000
-"""Difference of the seeds of two processes that share a run."""
 
 
 @dataclass(frozen=True)
@@ -77,16 +74,6 @@ class TrainConfig(Settings):
         if files:  # workers must find them from any directory
             object.__setattr__(self, "task", dataclasses.replace(self.task, **files))
 
-    def replace(self, **values: Any) -> TrainConfig:
-        """Return the configuration with other values, by dotted name with ``__`` for each dot.
-
-        Example:
-            >>> TrainConfig().replace(ppo__gamma=0.9, seed=3).ppo.gamma
-            0.9
-        """
-        changed = merged({path.replace("__", "."): value for path, value in values.items()})
-        return build(TrainConfig, merged(self.to_dict(), changed))
-
     @property
     def compiles_networks(self) -> bool:
         """True if policy and losses are compiled too: only on a CPU, where it was measured."""
@@ -96,10 +83,6 @@ class TrainConfig(Settings):
     def captures_graphs(self) -> bool:
         """True if optimiser steps are captured as CUDA graphs: the effect of ``compiled`` for a learner on a GPU."""
         return self.compute.compiled and self.compute.device != "cpu"
-
-    def threads_each(self, processes: int) -> int:
-        """Return the number of physics threads of each of ``processes`` that share the CPUs."""
-        return max(1, (self.compute.num_threads or available_cpus()) // processes)
 
     def make_task(self, **overrides: Any) -> Task:
         """Return the task, with some arguments of its function replaced.
@@ -220,7 +203,7 @@ def _problems(config: TrainConfig) -> Iterator[str]:
     """Yield a message for each conflict between settings, with the remedy."""
     values, compute = config.to_dict(), config.compute
     for low, high, gap, why in _ORDER:
-        one, other = (values[path.split(".")[0]][path.split(".")[1]] for path in (low, high))
+        one, other = operator.attrgetter(low, high)(config)
         if one > other - gap:
             yield f"{low}={one:g} must {'be below' if gap else 'not exceed'} {high}={other:g}: {why}"
     for path in ("ppo.actor_cells", "ppo.critic_cells", "roa.encoder_cells", "roa.latent_features"):

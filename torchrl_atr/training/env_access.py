@@ -13,11 +13,9 @@ from torchrl_atr.envs.transforms import CommandCurriculum
 from torchrl_atr.training.checkpoint import CheckpointError
 
 
-def base_of(env: EnvBase) -> EnvBase:
+def base_of(env: EnvBase) -> Any:
     """Return the env below all transforms."""
-    while isinstance(env, TransformedEnv):
-        env = env.base_env
-    return env
+    return base_of(env.base_env) if isinstance(env, TransformedEnv) else env
 
 
 def attribute(env: EnvBase, name: str) -> Any:
@@ -54,11 +52,8 @@ def widen_curriculum(curriculum: CommandCurriculum | None, state: dict[str, Any]
 def env_state(env: EnvBase) -> dict[str, Any]:
     """Return the state that the env's next step depends on, in dicts of tensors; empty without ``get_state``.
 
-    TorchRL's ``env.state_dict()`` has the transforms' part of it alone.
-
-    Args:
-        env: whose base env has ``get_state() -> TensorDict`` and ``set_state(state)``; a generator ``rng`` and the
-            transforms' states are saved beside it.
+    It holds that of the base env, its generator ``rng`` and the transforms' states, which alone TorchRL's
+    ``env.state_dict()`` has.
     """
     get_state, rng, num_diverged = (attribute(env, name) for name in ("get_state", "rng", "num_diverged"))
     if get_state is None or attribute(env, "set_state") is None:
@@ -74,12 +69,8 @@ def env_state(env: EnvBase) -> dict[str, Any]:
 
 
 def load_env_state(env: EnvBase, state: dict[str, Any]) -> None:
-    """Restore :func:`env_state`.
-
-    Raises:
-        CheckpointError: if it is of other transforms.
-    """
-    base: Any = base_of(env)
+    """Restore :func:`env_state`; a :class:`CheckpointError` says that it is of other transforms."""
+    base = base_of(env)
     if "transforms" in state:
         try:
             env.transform.load_state_dict(state["transforms"])

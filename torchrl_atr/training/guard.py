@@ -20,7 +20,7 @@ class TrainingDiverged(UserError, RuntimeError):
 
 
 class StepGuard:
-    """Detector and counter of optimiser steps to skip, those whose loss or gradients are not finite.
+    """Counter of optimiser steps to skip, those whose loss or gradients are not finite.
 
     The flags stay on the device that computed them (:meth:`finite`), so that no step waits for a GPU; they are read
     once an iteration (:meth:`review`). Consecutive steps are those of the same optimisers: steps of the estimators say
@@ -28,9 +28,6 @@ class StepGuard:
 
     It replaces :class:`torch.amp.GradScaler`, which skips steps in the same way, but checks gradients alone, waits for
     the GPU at each step of an optimiser that is not fused, and never ends a run.
-
-    Args:
-        patience: number of consecutive steps that may be skipped.
 
     Attributes:
         skipped: steps skipped so far.
@@ -43,37 +40,28 @@ class StepGuard:
         (None, 1)
     """
 
-    def __init__(self, patience: int = PATIENCE) -> None:
-        self.patience, self.skipped = patience, 0
+    def __init__(self) -> None:
+        self.skipped = 0
         self._in_a_row: Counter[str] = Counter()
 
     @staticmethod
     def finite(terms: TensorDictBase, norms: Mapping[str, Tensor]) -> TensorDict:
-        """Return for each loss term and gradient whether it is finite, as bool scalars on its device.
-
-        Args:
-            terms: of the loss; those called ``loss_...`` count.
-            norms: of the gradients, by the name of their optimiser.
-        """
+        """Return whether each term called ``loss_...``, and each optimiser's gradient norm, is finite: scalars."""
         named = {str(key): value.detach().isfinite().all() for key, value in terms.items() if key.startswith("loss_")}
         return TensorDict(named | {f"the gradient of the {name}": norm.isfinite() for name, norm in norms.items()})
 
     def review(self, kind: str, finite: TensorDictBase) -> None:
-        """Count the skipped steps of an iteration.
-
-        Args:
-            kind: what the steps are of.
-            finite: from :meth:`finite`, (steps,).
+        """Count the skipped steps of an iteration, from :meth:`finite` of each, stacked.
 
         Raises:
-            TrainingDiverged: after more than ``patience`` such steps in a row; names the non-finite values.
+            TrainingDiverged: after more than :data:`PATIENCE` such steps of a ``kind`` in a row; names the values.
         """
         names = list(map(str, finite.keys()))
         for step in torch.stack(list(finite.values()), -1).tolist():
             culprits = [name for name, good in zip(names, step) if not good]
             self._in_a_row[kind] = self._in_a_row[kind] + 1 if culprits else 0
             self.skipped += bool(culprits)
-            if self._in_a_row[kind] > self.patience:
+            if self._in_a_row[kind] > PATIENCE:
                 raise TrainingDiverged(
                     f"{self._in_a_row[kind]} optimiser steps in a row were not finite ({', '.join(culprits)}): the "
                     "run ends with its last checkpoint, continue from it with --resume or start anew with a lower "

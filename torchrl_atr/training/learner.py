@@ -17,7 +17,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.objectives.value import GAE
 
 from torchrl_atr._compilation import CudaGraph, compile_methods
-from torchrl_atr.modules import RidingNetworks
+from torchrl_atr.modules import ROANetworks
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.training.assembly import make_run_loss
 from torchrl_atr.training.callbacks import Callbacks, Phase
@@ -46,7 +46,7 @@ class Learner:
 
     def __init__(
         self,
-        networks: RidingNetworks,
+        networks: ROANetworks,
         config: TrainConfig,
         loss: ROAClipPPOLoss | None = None,
         reward_schedule: RewardSchedule | None = None,
@@ -100,9 +100,9 @@ class Learner:
         return {name: CudaGraph(step) for name, step in steps.items()} if self.config.captures_graphs else {**steps}
 
     @property
-    def deployed(self) -> RidingNetworks:
+    def deployed(self) -> ROANetworks:
         """Networks with the moving average of the weights, in eval mode; it follows batch noise less than steps do."""
-        return cast(RidingNetworks, self._averaged.module)
+        return cast(ROANetworks, self._averaged.module)
 
     def _average(self, averaged: Any, current: Any, iterations: Tensor | int) -> None:
         share = max(1 / self.config.ppo.ema_horizon, EMA_WARMUP / (EMA_WARMUP + 1 + int(iterations)))

@@ -11,12 +11,12 @@ from torchrl.envs import EnvBase
 from torchrl_atr.deploy.manifest import find_policy, is_bundle
 from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.modules import CommandRange, EstimatorError
-from torchrl_atr.training.assembly import LOADED, make_env
+from torchrl_atr.training.assembly import LOADING_OVERRIDES, make_env
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.env_access import attribute
 from torchrl_atr.training.parts import NetworksFactory, Parts
-from torchrl_atr.training.restoring import check_model, deployed_weights, load_networks, run_config
+from torchrl_atr.training.restoring import check_model, checkpoint_config, deployed_weights, load_networks
 
 
 def load_run(
@@ -55,7 +55,7 @@ def load_run(
     state = load_checkpoint(run if checkpoint is None else run / checkpoint)
     parts = Parts(make_env, make_networks)
     parts.check_complete(state, run, ("make_env", "make_networks"))
-    config = run_config(state, run, imports, {"compute.device": "cpu"})  # wherever it was trained
+    config = checkpoint_config(state, run, imports, {"compute.device": "cpu"})  # wherever it was trained
     if make_env is None:
         env, trained_in = _recipes_envs(config, state, run, env_overrides)
     else:
@@ -76,9 +76,9 @@ def _recipes_envs(
     config: TrainConfig, state: dict[str, Any], run: Path, overrides: dict[str, Any]
 ) -> tuple[EnvBase, EnvBase]:
     """Return the env that is asked for, and one of the robot that the networks were trained with."""
-    env = own = make_env(config, **{**LOADED, **overrides})
+    env = own = make_env(config, **{**LOADING_OVERRIDES, **overrides})
     replaced = [part for part in PARTS if part in overrides]
     if replaced:  # networks keep the symmetry of the model that they were trained with
-        own = make_env(config, num_envs=1, **LOADED)
+        own = make_env(config, num_envs=1, **LOADING_OVERRIDES)
     check_model(state, own.base_env.scene, run, replaced)
     return env, own

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._settings import ConfigError
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
 
 
-def check_logger(name: str) -> None:
-    """Check that the packages of a logger are installed.
-
-    Raises:
-        ConfigError: if not; names the package.
-    """
-    if name in ("wandb", "mlflow") and find_spec(name) is None:
+def check_logger(name: str, logger: Any = None) -> None:
+    """Raise a :class:`ConfigError` if a custom logger is none, or the package of the named one is missing."""
+    if logger is not None:
+        for method in ("log_metrics", "log_hparams"):
+            if not hasattr(logger, method):
+                raise ConfigError(f"logger={logger!r} lacks {method}; give one of torchrl.record.loggers")
+    elif name in ("wandb", "mlflow") and find_spec(name) is None:
         raise ConfigError(
             f"logging.logger={name!r} needs the package {name}: pip install {name}; or take another logger"
         )
@@ -28,14 +28,9 @@ def check_logger(name: str) -> None:
 def make_logger(name: str, run: Path, title: str, resume_from: int | None = None) -> Logger | None:
     """Return a logger of TorchRL that writes to a run folder, or to the server that its own variables name.
 
-    Args:
-        name: ``tensorboard``, ``wandb``, ``mlflow``, or ``csv``, which is None: ``progress.csv`` is written anyway.
-            TorchRL's ``CSVLogger`` has a file without a header for each metric and repeats the steps that a resumed
-            run takes again.
-        run: the run folder.
-        title: of the experiment.
-        resume_from: frames of the checkpoint that the run continues from; TensorBoard drops later entries, W&B and
-            MLflow begin another run of the same name.
+    ``csv`` is None: ``progress.csv`` is written anyway (:class:`~torchrl_atr.training.progress.Progress`). In a run
+    that continues from ``resume_from`` frames TensorBoard drops later entries, W&B and MLflow begin another run of the
+    same name.
     """
     if name == "csv":
         return None

@@ -38,22 +38,19 @@ NETWORKS_INTERFACE = (
     "estimator_parameters",
     "update_normalizers",
 )
-"""Attributes of a run's networks, as of :class:`~torchrl_atr.modules.RidingNetworks`; see docs/own_parts.md."""
+"""Attributes of a run's networks, as of :class:`~torchrl_atr.modules.ROANetworks`; see docs/own_parts.md."""
 LOSS_INTERFACE = ("policy_loss", "adaptation_loss", "policy_in_keys", "adaptation_in_keys")
 """Attributes of a run's loss, as of :class:`~torchrl_atr.objectives.ROAClipPPOLoss`; see docs/own_parts.md."""
 
 
 class EnvFactory(Protocol):
-    """Factory of envs on the CPU, of batch size (num_envs,), in this process or in a worker's."""
+    """Factory of envs on the CPU, of batch size (num_envs,), in this process or in a worker's.
+
+    All that an env draws follows from the seed; ``num_threads=None`` means the CPUs that the process may use.
+    """
 
     def __call__(self, *, num_envs: int, seed: int, num_threads: int | None) -> EnvBase:
-        """Make the env.
-
-        Args:
-            num_envs: N.
-            seed: of all that it draws.
-            num_threads: that it may use; None for the CPUs that this process may use.
-        """
+        """Make an env."""
         ...
 
 
@@ -71,10 +68,7 @@ class Parts:
     not check that the result can be trained.
 
     Attributes:
-        make_env: see :class:`EnvFactory`.
-        make_networks: see :data:`NetworksFactory`.
-        make_loss: see :data:`LossFactory`.
-        callbacks: of the run.
+        make_env, make_networks, make_loss, callbacks: see :class:`~torchrl_atr.training.Trainer`.
     """
 
     make_env: EnvFactory | None = None
@@ -115,12 +109,7 @@ class Parts:
             )
 
     def check_complete(self, state: Mapping[str, Any], run: Path, needed: Collection[str]) -> None:
-        """Check that the custom factories that a run was trained with have been given again.
-
-        Args:
-            state: of a checkpoint.
-            run: where it is from, for messages.
-            needed: the arguments that matter.
+        """Check that those of the ``needed`` custom factories that a run was trained with have been given again.
 
         Raises:
             CheckpointError: if one is missing; says which, and how to give it.
@@ -136,20 +125,11 @@ class Parts:
             )
 
     def env_maker(self, config: TrainConfig, run: Path) -> Callable[..., EnvBase]:
-        """Return the factory of a run's envs for any process; it takes no arguments, or some to replace the run's.
-
-        Args:
-            config: of the run.
-            run: the run folder.
-        """
+        """Return the factory of a run's envs for any process; it takes no arguments, or some to replace the run's."""
         if self.make_env is None:
             return partial(make_env, config, dump_dir=run.resolve() / DUMPS)
-        share: dict[str, Any] = {
-            "num_envs": config.env.num_envs,
-            "seed": config.seed,
-            "num_threads": config.compute.num_threads or None,
-        }
-        return partial(_own_env, self.make_env, **share)
+        envs, threads = config.env.num_envs, config.compute.num_threads or None
+        return partial(_own_env, self.make_env, num_envs=envs, seed=config.seed, num_threads=threads)
 
     def networks(self, config: TrainConfig, env: EnvBase) -> Any:
         """Return the networks of a run, on the CPU.
@@ -160,7 +140,7 @@ class Parts:
         """
         if self.make_networks is not None:
             networks = self.make_networks(env)
-            _check_interface("make_networks", networks, NETWORKS_INTERFACE, "RidingNetworks of make_networks")
+            _check_interface("make_networks", networks, NETWORKS_INTERFACE, "ROANetworks of make_networks")
             return networks
         recipes_env: Any = env
         own = self.make_env is not None

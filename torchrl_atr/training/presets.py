@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 from torchrl_atr._registry import Registry
 from torchrl_atr._settings import Setting, settings
@@ -56,33 +56,11 @@ TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
 """Settings of tasks that differ from riding's; a custom task may add its own."""
 
 
-class Addition(NamedTuple):
-    """Addition of this package to the paper's method.
-
-    Attributes:
-        what: the addition in a few words.
-        switch: the setting that turns it on and off.
-        off: its value in the preset ``paper``.
-        on: its value by default.
-        why: what it is, and why it is on by default.
-    """
-
-    what: str
-    switch: str
-    off: Any
-    on: Any
-    why: str
-
-
-def additions() -> list[Addition]:
-    """Return everything that is added to the paper's method, each with the setting that turns it off.
+def additions() -> list[Setting]:
+    """Return everything that is added to the paper's method: the settings that turn it off, as they are in ``paper``.
 
     Example:
-        >>> [each.switch for each in additions() if each.what == "smoothness loss"]
-        ['ppo.smoothness_coeff']
+        >>> [(each.path, each.value_in("paper")) for each in additions() if each.addition == "smoothness loss"]
+        [('ppo.smoothness_coeff', 0.0)]
     """
-    return [_addition(each) for each in settings(TrainConfig).values() if each.addition]
-
-
-def _addition(each: Setting) -> Addition:
-    return Addition(each.addition, each.path, each.value_in("paper"), each.default, each.text)
+    return [each for each in settings(TrainConfig).values() if each.addition]

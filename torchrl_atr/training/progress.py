@@ -58,14 +58,11 @@ _LEFT = 10
 _PAGE = 20
 """Lines between two heads."""
 _HEAD = "\n".join(
-    "".join(text.rjust(width) for text, width in row)
-    for row in (
-        [*((each.head, each.width) for each in _COLUMNS), ("left", _LEFT)],
-        [*((each.unit, each.width) for each in _COLUMNS), ("h:min:s", _LEFT)],
-    )
+    "".join(getattr(each, row).rjust(each.width) for each in _COLUMNS) + left.rjust(_LEFT)
+    for row, left in (("head", "left"), ("unit", "h:min:s"))
 )
-_MOVING = {"falls_per_minute": 50}
-"""Iterations over which a metric of rare events is averaged for display; logs hold every iteration's value."""
+_RARE = 50
+"""Iterations over which falls, rare events, are averaged for display; logs hold every iteration's value."""
 _LINE_SECONDS = 15.0
 """Seconds between lines."""
 
@@ -78,9 +75,8 @@ class Progress:
 
     Args:
         run: the run folder.
-        config: for the logger, and for time and frames left.
-        resume_from: frames of the checkpoint that the run continues from; later rows of its log are dropped. None for
-            a new run.
+        config: of the run.
+        resume_from: frames of the checkpoint that it continues from; later rows of its log are dropped.
         logger: of TorchRL, which gets every iteration's metrics by robot steps and stays open; None for the one that
             ``config.logging.logger`` names.
         title: of the run, for the logger.
@@ -95,17 +91,15 @@ class Progress:
         title: str = "",
     ) -> None:
         self.run, self.config, self.logger, self.title = run, config, logger, title
-        self._csv_path = run / "progress.csv"
+        self._csv_path, self._resume_from = run / "progress.csv", resume_from
         self._fields: list[str] = []
-        self._resume_from = resume_from
         if resume_from is None:
             self._csv_path.unlink(missing_ok=True)
         elif self._csv_path.is_file():
             self._fields = self._keep_rows(resume_from)
         self._shown: dict[str, float] = {}
-        self._recent = {name: deque[float](maxlen=iterations) for name, iterations in _MOVING.items()}
-        self._last_line = 0.0
-        self._lines = 0
+        self._falls = deque[float](maxlen=_RARE)
+        self._last_line, self._lines = 0.0, 0
         self._open = ExitStack()
         self._logger: Logger | None = None
 
@@ -122,10 +116,9 @@ class Progress:
         """Show and store one iteration."""
         self._shown.update(metrics)
         self._append(self._shown)
-        for name, recent in self._recent.items():
-            if name in metrics:
-                recent.append(metrics[name])
-                self._shown[name] = fmean(recent)
+        if "falls_per_minute" in metrics:
+            self._falls.append(metrics["falls_per_minute"])
+            self._shown["falls_per_minute"] = fmean(self._falls)
         if self._logger is not None:
             tagged = {name if "/" in name else f"train/{name}": value for name, value in metrics.items()}
             self._logger.log_metrics(tagged, step=int(metrics["frames"]))

@@ -30,17 +30,10 @@ def provenance(
     start: Mapping[str, Any] | None = None,
     parts: Mapping[str, str] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Return the content of ``run.json``.
+    """Return the content of ``run.json``, from the fingerprint of the ``model``, the frames and seconds so far.
 
-    Args:
-        config: of the run.
-        run: its folder, which paths in the command are relative to.
-        model: fingerprint of its robot on its transporter; None for an env that is not ours.
-        frames: robot steps so far.
-        seconds: of training so far, wall clock.
-        start: of a run that began from another one: that one's ``run`` (its folder), ``config`` and ``provenance``,
-            the last of which is what ``from`` holds.
-        parts: full names of the custom factories, which the command cannot name.
+    ``start`` holds ``run`` (the folder), ``config`` and ``provenance`` of the run that this one began from, ``parts``
+    the full names of custom factories, which the command cannot name.
     """
     origin = {} if start is None else {"from": {"run": start["run"], **start["provenance"]}}
     return {
@@ -87,10 +80,6 @@ def cores(hardware: dict[str, Any]) -> str:
 def command_line(config: Mapping[str, Any], start: Mapping[str, Any] | None = None) -> str:
     """Return the command that starts such a run, with settings other than the defaults or the run it began from.
 
-    Args:
-        config: settings of the run, all of them, as plain JSON values.
-        start: ``run`` and ``config`` of the run that it began from.
-
     Example:
         >>> command_line(make_config({"ppo.gamma": 0.9}).to_dict())
         'torchrl-atr train --robot a1 --transporter single_board --seed 0 --ppo.gamma 0.9'
@@ -114,8 +103,6 @@ def command_line(config: Mapping[str, Any], start: Mapping[str, Any] | None = No
 
 def _processor() -> str:
     info = Path("/proc/cpuinfo")
-    if info.is_file():
-        for line in info.read_text(encoding="utf-8", errors="replace").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    return platform.processor() or platform.machine()
+    lines = info.read_text(encoding="utf-8", errors="replace").splitlines() if info.is_file() else []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, platform.processor() or platform.machine())

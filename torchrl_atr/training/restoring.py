@@ -1,4 +1,8 @@
-"""Checks of a checkpoint before a run is built on it, and loading of its settings and networks."""
+"""Checks of a checkpoint before a run is built on it, and loading of its settings and networks.
+
+In every function ``state`` is from :func:`~torchrl_atr.training.load_checkpoint`, and ``run`` is the folder that it is
+from, which messages name.
+"""
 
 from __future__ import annotations
 
@@ -19,44 +23,33 @@ from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.config import ConfigError, TrainConfig, make_config
 from torchrl_atr.training.run_files import located_settings
 
-_PARTS = (
-    ("config",),
-    ("config", "task"),
-    ("learner", "networks"),
-    ("learner", "optimizers"),
-    ("curriculum",),
-    ("frames",),
-    ("rng",),
-    ("provenance",),
+_NEEDED = (
+    "config",
+    "config/task",
+    "learner/networks",
+    "learner/optimizers",
+    "curriculum",
+    "frames",
+    "rng",
+    "provenance",
 )
+"""Entries of a checkpoint that every reader of a run needs."""
 
 
-def check_parts(state: Mapping[str, Any], run: Path) -> None:
-    """Check that a checkpoint holds the parts that every reader of a run needs.
-
-    Args:
-        state: from :func:`~torchrl_atr.training.load_checkpoint`.
-        run: where it is from, for messages.
-
-    Raises:
-        CheckpointError: if a part is missing.
-    """
-    for path in _PARTS:
+def check_entries(state: Mapping[str, Any], run: Path) -> None:
+    """Raise a :class:`CheckpointError` if a checkpoint lacks an entry that every reader of a run needs."""
+    for path in _NEEDED:
         part: Any = state
-        for name in path:
+        for name in path.split("/"):
             if not isinstance(part, Mapping) or name not in part:
                 raise CheckpointError(
-                    f"the checkpoint in {run} lacks {'/'.join(path)!r}; give a folder that `torchrl-atr train` wrote"
+                    f"the checkpoint in {run} lacks {path!r}; give a folder that `torchrl-atr train` wrote"
                 )
             part = part[name]
 
 
 def read_other(start: Path, run: Path) -> dict[str, Any]:
-    """Return the checkpoint of the run that a new one begins from, and its folder as ``run``.
-
-    Args:
-        start: folder of the former.
-        run: folder of the new one.
+    """Return the checkpoint of the run in ``start``, that a new one in ``run`` begins from, and its folder as ``run``.
 
     Raises:
         ConfigError: if they are one.
@@ -65,17 +58,12 @@ def read_other(start: Path, run: Path) -> dict[str, Any]:
     if start.resolve() == run.resolve():
         raise ConfigError(f"{run}: a run cannot replace the one that it begins from; give another --output")
     state = load_checkpoint(start)
-    check_parts(state, start)
+    check_entries(state, start)
     return {"run": str(start), **state}
 
 
 def other_parts(config: TrainConfig, other: Mapping[str, Any]) -> set[str]:
-    """Return which of robot and transporter differ from those of the run that a new one begins from.
-
-    Args:
-        config: of the new one.
-        other: from :func:`read_other`.
-    """
+    """Return which of robot and transporter a new run has other than the one of :func:`read_other`."""
     theirs, task = located_settings(other["config"], Path(other["run"]))["task"], config.task
     replaced = {part for part in PARTS if getattr(task, part) != theirs[part]}
     return replaced if (task.kp, task.kd) == (theirs["kp"], theirs["kd"]) else {*replaced, "robot"}
@@ -85,14 +73,14 @@ def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] =
     """Return the settings of a checkpoint, after importing the modules that they rely on.
 
     Args:
-        state: from :func:`~torchrl_atr.training.load_checkpoint`.
+        state: the checkpoint.
         run: its folder, or the file in it, which the run's own robot files are looked up in.
         imports: modules to import first; with some, those that the run remembers may be missing.
 
     Raises:
-        CheckpointError: if a part is missing, or a module.
+        CheckpointError: if an entry is missing, or a module.
     """
-    check_parts(state, run)
+    check_entries(state, run)
     settings = located_settings(state["config"], run.parent if run.is_file() else run)
     imported = list(imports)
     try:
@@ -109,19 +97,19 @@ def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] =
     return {**settings, "imports": list(dict.fromkeys(imported))}
 
 
-def run_config(
+def checkpoint_config(
     state: Mapping[str, Any], run: Path, imports: Sequence[str] = (), changed: Mapping[str, Any] = MappingProxyType({})
 ) -> TrainConfig:
-    """Return the settings of a checkpoint, some of them changed.
+    """Return the configuration of a checkpoint.
 
     Args:
         state: from :func:`~torchrl_atr.training.load_checkpoint`.
         run: its folder, or the file in it.
-        imports: see :func:`saved_settings`.
+        imports: modules to import first; with some, those that the run remembers may be missing.
         changed: settings to replace, by dotted name.
 
     Raises:
-        CheckpointError: if a part is missing, or a setting does not work with this code or on this machine.
+        CheckpointError: if an entry is missing, or a setting does not work with this code or on this machine.
     """
     settings = saved_settings(state, run, imports)
     try:
@@ -134,9 +122,9 @@ def check_model(state: Mapping[str, Any], scene: Scene | None, run: Path, replac
     """Check that robot and transporter are those that a run was trained with.
 
     Args:
-        state: from :func:`~torchrl_atr.training.load_checkpoint`; one without a model, as of a custom env, passes.
+        state: one without a model, as of a custom env, passes.
         scene: what the run's settings mean here; None for an env that has none.
-        run: where it is from, for messages.
+        run: where ``state`` is from.
         replaced: ``"robot"`` or ``"transporter"`` if that is another one on purpose.
 
     Raises:
@@ -164,15 +152,10 @@ def deployed_weights(learner: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) -> None:
-    """Load trained weights into networks, or raise an error of one line if they do not fit.
-
-    Args:
-        networks: made by the settings of that run, or of one that begins from it.
-        weights: their ``state_dict`` from the checkpoint.
-        run: where it is from, for messages.
+    """Load trained weights into networks.
 
     Raises:
-        CheckpointError: if names or shapes differ, or a number is not finite.
+        CheckpointError: if names or shapes differ, or a number is not finite; its message is one line.
     """
     for name, value in weights.items():
         if isinstance(value, Tensor) and not torch.isfinite(value).all():
@@ -189,15 +172,10 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
 
 
 def check_moments(optimizer: torch.optim.Optimizer, saved: Mapping[str, Any], name: str) -> None:
-    """Check the moments in an optimiser's saved state, which a fused step would read and write whatever their shapes.
-
-    Args:
-        optimizer: that is to continue with them.
-        saved: the ``state_dict`` of another.
-        name: of both, for messages.
+    """Check the moments in an optimiser's ``saved`` state, which a fused step would use whatever their shapes.
 
     Raises:
-        CheckpointError: if they are of other parameters.
+        CheckpointError: if they are of other parameters; names the optimiser.
     """
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     fits = sum(len(group["params"]) for group in saved["param_groups"]) == len(parameters) and all(

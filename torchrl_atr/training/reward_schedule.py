@@ -13,11 +13,7 @@ RewardSchedule = Mapping[str, Callable[[float], float]]
 
 
 def factors_at(schedule: RewardSchedule, progress: float) -> dict[str, float]:
-    """Return the factors at a progress of the run.
-
-    Args:
-        schedule: by term.
-        progress: share of the run that is over; beyond [0, 1] the nearer end counts.
+    """Return the factors at a progress of the run; beyond [0, 1] the nearer end counts.
 
     Example:
         >>> factors_at({"torque": lambda progress: 1.0 + progress}, 0.5)
@@ -28,14 +24,10 @@ def factors_at(schedule: RewardSchedule, progress: float) -> dict[str, float]:
 
 
 def with_factors(batch: TensorDictBase, factors: Mapping[str, float]) -> TensorDictBase:
-    """Add (factor - 1) · term to the reward for each factor, in place.
-
-    Args:
-        batch: with ``next`` holding ``reward`` (N, T, 1) and each ``("reward_terms", name)`` (N, T, 1).
-        factors: by term.
+    """Add (factor - 1) · term to the reward of a batch for each factor, in place.
 
     Raises:
-        ConfigError: if a term is missing.
+        ConfigError: if ``next`` lacks a term.
 
     Example:
         >>> from tensordict import TensorDict
@@ -53,15 +45,7 @@ def with_factors(batch: TensorDictBase, factors: Mapping[str, float]) -> TensorD
 
 
 def check_reward_terms(schedule: Collection[str], terms: Collection[str]) -> None:
-    """Check that there is a reward term for every name of a schedule.
-
-    Args:
-        schedule: the names.
-        terms: those that the env emits, under ``reward_terms``.
-
-    Raises:
-        ConfigError: if there is none; names it and those that there are.
-    """
+    """Raise a :class:`ConfigError` if a schedule names a term that the env does not emit under ``reward_terms``."""
     for name in schedule:
         if name not in terms:
             known = ", ".join(map(str, terms)) or "none"

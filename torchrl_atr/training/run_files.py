@@ -24,15 +24,9 @@ DUMPS = "diverged"
 
 
 def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
-    """Copy the files that a configuration names into the run, unless they are there.
+    """Copy the files that a configuration names into the run, unless they are there; return it with the copies.
 
-    Args:
-        config: of the run.
-        run: its folder, which exists.
-        fresh: whether it is a new run, which keeps nothing of an earlier one's.
-
-    Returns:
-        The configuration with the copies in place of the originals.
+    A ``fresh`` run keeps nothing of an earlier one's.
 
     Raises:
         RobotError: if a robot reads a file that cannot be copied.
@@ -76,11 +70,7 @@ def stored_settings(config: TrainConfig, run: Path) -> dict[str, Any]:
 
 
 def located_settings(settings: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Undo :func:`stored_settings`, wherever the run is now; absolute paths and names stay as they are.
-
-    Args:
-        settings: nested, of a whole configuration.
-        folder: of the run, or of the file that the settings are from.
+    """Undo :func:`stored_settings`, wherever the run's folder is now; absolute paths and names stay as they are.
 
     Example:
         >>> located_settings({"task": {"robot": "model/robot/mine.toml"}}, Path("/runs/one"))["task"]["robot"]

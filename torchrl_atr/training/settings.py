@@ -10,7 +10,7 @@ from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.tasks.events import Pushes
 from torchrl_atr.envs.tasks.overrides import Ranges
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import Source
+from torchrl_atr.modules import ActSourceName
 
 MAX_SPEED, MAX_YAW_RATE = CommandGrid().bounds
 """Largest command of the paper: m/s and rad/s."""
@@ -110,8 +110,7 @@ class CurriculumConfig(Settings):
     score_from_seconds: float = setting(
         1.0, within=(0, 1e6), question="A6", unit="s", off=0.0, addition="scores without the first second of a command"
     )
-    """Part of a command's time that the score leaves out. Reaching a command takes time that says nothing about holding
-    it."""
+    """Part of a command's time that is not scored. Reaching a command takes time that says nothing about holding it."""
     count_own_twice: bool = setting(False, question="A4", legged_gym=True)
     """Let a succeeding cell of the command grid grow twice. Open whether the own cell is part of the neighbourhood that
     grows, or grows once more. Once; the code of rapid-locomotion-rl counts it twice."""
@@ -139,19 +138,17 @@ class ExplorationConfig(Settings):
     """Standard deviation at first, in units of the action; in a run that begins with another's networks, the ceiling at
     first. legged_gym explores with 1: on a board, robots then fall within two seconds."""
     relative_std: float = setting(0.1, within=(1e-3, 10), question="A21", legged_gym=1.0)
-    """Standard deviation of what legs do against each other, with leg_patterns. Legs that pull against each other tilt
-    nothing."""
+    """With leg_patterns, standard deviation at first of what legs do against each other, in units of the action; no
+    ratio to init_std, which is then that of what all legs do alike. Legs that pull against each other tilt nothing."""
     min_std: float = setting(0.03, within=(0, 10), off=0.0, addition="a floor of the exploration")
     """Floor of the standard deviations. They can grow again from there."""
     noise_correlation: float = setting(0.9, within=(0, 0.999), question="A21", off=0.0, addition="noise that lasts")
     """Correlation of the noise from one control step to the next. White noise at 50 Hz averages out before a board has
     tilted; here a deviation lasts for some ten steps."""
     anneal: bool = setting(True, question="A21", off=False, addition="annealed exploration and KL target")
-    """Lower a ceiling of the exploration, and ppo.target_kl to final_kl, late in the run. Noise hides which way the
-    board is tilted."""
+    """Lower a ceiling of the exploration, and ppo.target_kl to final_kl, late in the run. Noise hides the tilt."""
     anneal_from: float = setting(0.4, within=(0, 0.99))
-    """Share of the run after which the ceiling falls geometrically from init_std. A policy that can ride turns better
-    with less noise."""
+    """Share of the run after which the ceiling falls geometrically from init_std. Turns are better with less noise."""
     anneal_until: float = setting(0.85, within=(0.01, 1))
     """Share of the run from which on that ceiling is final_std."""
     final_std: float = setting(0.06, within=(1e-3, 10))
@@ -232,7 +229,9 @@ class ROAConfig(Settings):
     ramp: bool = setting(False, question="A23", legged_gym=True)
     """Grow λ linearly from 0 over the run. Open whether λ = 0.2 is constant or the end of a ramp. Constant; Extreme
     Parkour ramps it up."""
-    act_source: Source = setting("mixed", question="A24", off="privileged", addition="acting on estimates in training")
+    act_source: ActSourceName = setting(
+        "mixed", question="A24", off="privileged", addition="acting on estimates in training"
+    )
     """Inputs of the actor in training; mixed: half of the robots act on their estimates. The paper's figure shows the
     privileged policy in training; acting on estimates, estimators also learn on states that their errors lead to."""
     latent_features: int = setting(16, within=(1, 1e5))

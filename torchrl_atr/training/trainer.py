@@ -15,7 +15,7 @@ from torchrl_atr._config_files import to_toml
 from torchrl_atr._files import atomic, say, sweep, write_json
 from torchrl_atr._interrupt import Interrupt
 from torchrl_atr._threads import TorchThreads
-from torchrl_atr.envs.models.identity import digest
+from torchrl_atr.envs.models.identity import describe, digest
 from torchrl_atr.training import env_access
 from torchrl_atr.training.assembly import make_policy, make_reward_schedule
 from torchrl_atr.training.callbacks import Callback, Callbacks
@@ -25,7 +25,7 @@ from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory, Parts
-from torchrl_atr.training.preparation import check_given, init_normalizers, model_of, trained_networks
+from torchrl_atr.training.preparation import check_given, init_normalizers, trained_networks
 from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import check_model
@@ -50,12 +50,12 @@ class Trainer:
         run: folder for config, checkpoint, logs; made if missing.
         state: a checkpoint to continue from. With ``collector="direct"`` on the CPU, not compiled, with the same
             threads and no time limit, the run continues bit for bit as if it had not stopped.
-        start: folder of another run, with whose deployed networks, optimisers' moments and command grid a new one
+        begin_from: folder of another run, with whose deployed networks, optimisers' moments and command grid a new one
             begins, at its policy's learning rate if that is lower; all else is new.
         replaced: ``"robot"`` or ``"transporter"`` if another one than that run's may be meant by the same name.
         make_env: ``make_env(num_envs=, seed=, num_threads=)`` makes an env. A run resumes bit for bit if the env below
             all transforms has ``get_state()`` and ``set_state(state)``; else episodes begin anew.
-        make_networks: ``make_networks(env)`` makes the networks, like :class:`~torchrl_atr.modules.RidingNetworks`.
+        make_networks: ``make_networks(env)`` makes the networks, like :class:`~torchrl_atr.modules.ROANetworks`.
         make_loss: ``make_loss(networks)`` makes the loss, like :class:`~torchrl_atr.objectives.ROAClipPPOLoss`.
         logger: of ``torchrl.record.loggers``, which takes TensorBoard's place; it stays open.
         callbacks: called at fixed points of the run.
@@ -72,7 +72,7 @@ class Trainer:
     Raises:
         CheckpointError: if the networks of either do not fit the settings, it was trained with another robot or
             transporter than there is here, or with custom parts that are not given.
-        ConfigError: if ``start`` is ``run`` itself, or a part cannot be used.
+        ConfigError: if ``begin_from`` is ``run`` itself, or a part cannot be used.
         EstimatorError: if the estimator cannot be trained.
 
     Example:
@@ -93,7 +93,7 @@ class Trainer:
         config: TrainConfig,
         run: str | Path,
         state: dict[str, Any] | None = None,
-        start: str | Path | None = None,
+        begin_from: str | Path | None = None,
         replaced: Iterable[str] = (),
         *,
         make_env: EnvFactory | None = None,
@@ -104,12 +104,15 @@ class Trainer:
     ) -> None:
         self.run, self.config = Path(run), config
         self.parts = Parts(make_env, make_networks, make_loss, Callbacks(callbacks))
-        other = check_given(config, self.run, self.parts, state, None if start is None else Path(start), logger)
+        other = check_given(
+            config, self.run, self.parts, state, None if begin_from is None else Path(begin_from), logger
+        )
         torch.manual_seed(config.seed)
         self.threads = TorchThreads(config.compute.torch_threads, adaptive=config.compute.torch_threads == 0)
         self.env = self._env_maker()
         networks = trained_networks(config, self.run, self.env, self.parts, state, other, replaced)
-        self._model = model_of(self.env)
+        scene = env_access.attribute(self.env, "scene")
+        self._model = None if scene is None else describe(scene)
         loss, schedule = self.parts.loss(config, networks), make_reward_schedule(self.env)
         # of the env below all transforms: one of them may leave the terms out of what is stored
         emitted = env_access.base_of(self.env).full_observation_spec.get("reward_terms", {})
@@ -153,9 +156,8 @@ class Trainer:
 
         SIGINT and SIGTERM end it after the iteration at hand, with a checkpoint.
 
-        Args:
-            on_iteration: called with each iteration's metrics, after they are logged; its time is not part of the
-                run's. If it returns True, the run ends.
+        ``on_iteration`` is called with each iteration's metrics, after they are logged; its time is not part of the
+        run's. If it returns True, the run ends.
 
         Returns:
             The signal that ended it early, or None.
@@ -229,7 +231,6 @@ class Trainer:
         batch = self.parts.callbacks.through("on_batch", self.collection.collect())
         collected = time.monotonic()
         metrics = {**batch_metrics(batch), **self.learner.update(batch)}
-        self.collection.publish()
         self.collection.exchange()
         metrics |= self.collection.metrics()
         metrics["std"] = float(self.learner.networks.exploration.std().detach().mean())

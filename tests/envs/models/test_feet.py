@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from torchrl_atr.envs import ROBOTS, RidingEnv, RobotError
-from torchrl_atr.envs.models import RobotSpec, load_robot
+from torchrl_atr.envs.models import RobotSpec, load_robot_model
 from torchrl_atr.envs.models.feet import find_feet
 from torchrl_atr.envs.tasks.riding.state import RidingState
 
@@ -70,7 +70,7 @@ def test_all_geoms_of_a_foot_are_the_foot(tmp_path, kind):
 def test_shanks_are_no_feet():
     for name in ("a1", "go1", "anymal_c", "spot"):
         robot = ROBOTS.get(name)
-        _, model = load_robot(robot)
+        _, model = load_robot_model(robot)
         assert find_feet(model, robot) == tuple((model.geom(foot).id,) for foot in robot.feet)
 
 
@@ -86,6 +86,6 @@ def test_a_list_names_exactly_the_foot(tmp_path):
     assert env.scene.layout.foot_sizes == (1,) * 4
     assert state.other_force.norm() > 1.0  # the heels are collisions now
     with pytest.raises(RobotError, match="'FR_heel' and 'RR_toe' are on different links"):
-        load_robot(dataclasses.replace(both, feet=(("FR_heel", "RR_toe"), "RR_heel", "FL_heel", "RL_heel")))
+        load_robot_model(dataclasses.replace(both, feet=(("FR_heel", "RR_toe"), "RR_heel", "FL_heel", "RL_heel")))
     with pytest.raises(RobotError, match="feet holds \\(\\); name one geom, or a list of all geoms"):
         dataclasses.replace(both, feet=((), *both.feet[1:]))

@@ -13,13 +13,13 @@ import pytest
 
 from torchrl_atr.envs import RobotError
 from torchrl_atr.envs.models import (
-    DESIGNS,
     ROBOTS,
+    TRANSPORTER_DESIGNS,
     RobotSpec,
     Transporter,
     build_scene,
     get_transporter,
-    load_robot,
+    load_robot_model,
     scene_xml,
 )
 
@@ -103,7 +103,7 @@ def boards(transporter: str, robot: RobotSpec) -> Transporter:
 
 
 @pytest.mark.filterwarnings("ignore:compiler attribute 'settotalmass' is deprecated")
-@pytest.mark.parametrize("transporter", DESIGNS)
+@pytest.mark.parametrize("transporter", TRANSPORTER_DESIGNS)
 @pytest.mark.parametrize("setting", SETTINGS)
 def test_settings_of_a_robots_file_stay_out_of_the_scene(tmp_path, setting, transporter):
     deck = boards(transporter, A1)
@@ -200,7 +200,7 @@ def test_what_refers_to_removed_things_goes_too(tmp_path):
     text = robot.mjcf.read_text().replace("<worldbody>", f"<worldbody>{SURROUNDINGS}", 1)
     robot.mjcf.write_text(text.replace('<freejoint name="root"/>', ON_ROBOT, 1))
     mujoco.MjModel.from_xml_path(str(robot.mjcf))  # all of it is valid
-    spec, _ = load_robot(robot)
+    spec, _ = load_robot_model(robot)
     assert [camera.name for camera in spec.cameras] == ["eye"]
     assert [equality.name for equality in spec.equalities] == ["kept"]
     assert [tendon.name for tendon in spec.tendons] == ["coupling"]
@@ -252,7 +252,7 @@ def simulate(model: mujoco.MjModel, substeps: int = 300) -> np.ndarray:
     return np.stack(states)
 
 
-@pytest.mark.parametrize("transporter", DESIGNS)
+@pytest.mark.parametrize("transporter", TRANSPORTER_DESIGNS)
 @pytest.mark.parametrize("name", ["a1", "go1", "anymal_c", "spot"])
 def test_a_scene_written_to_a_file_simulates_the_same_bit_for_bit(tmp_path, name, transporter):
     robot = ROBOTS.get(name)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from torchrl_atr.envs import RidingEnv, RobotError, get_robot, read_robot, register_robot
-from torchrl_atr.envs.models import ROBOTS, Transporter, build_scene, get_transporter, load_robot
+from torchrl_atr.envs.models import ROBOTS, Transporter, build_scene, get_transporter, load_robot_model
 
 A1, GO1 = ROBOTS.get("a1"), ROBOTS.get("go1")
 TOML = """
@@ -132,7 +132,7 @@ def test_a_missing_mesh_is_named(folder):
     )
     (folder / "mine.xml").write_text(text)
     with pytest.raises(RobotError, match=r"cannot compile .*mine\.xml: .*gone\.stl"):
-        load_robot(read_robot(folder / "mine.toml"))
+        load_robot_model(read_robot(folder / "mine.toml"))
 
 
 def test_an_undriven_joint_is_named(folder):
@@ -141,7 +141,7 @@ def test_an_undriven_joint_is_named(folder):
     text = text.replace('<body name="FR_hip"', f'{tail}<body name="FR_hip"', 1)
     (folder / "mine.xml").write_text(text)
     with pytest.raises(RobotError, match="nothing would drive joint 'wag'"):
-        load_robot(read_robot(folder / "mine.toml"))
+        load_robot_model(read_robot(folder / "mine.toml"))
 
 
 def test_addresses_follow_names_whatever_order_the_file_has(folder):

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from torchrl_atr.envs.models import LEGS, ROBOTS, Transporter, build_scene, get_transporter, load_robot
+from torchrl_atr.envs.models import LEGS, ROBOTS, Transporter, build_scene, get_transporter, load_robot_model
 
 FACTS: dict[str, dict[str, Any]] = json.loads((Path(__file__).parent / "robot_facts.json").read_text())
 """By robot: Table IV's total mass; links (of the public model, the trunk scaled to that total) in frames parallel to
@@ -119,7 +119,7 @@ def test_robot_settles_near_its_desired_height(robot):
 
 
 def test_gains_and_limits_reach_the_actuators(robot):
-    spec, _ = load_robot(robot)
+    spec, _ = load_robot_model(robot)
     model = spec.compile()
     assert model.nu == 12
     np.testing.assert_allclose(model.actuator_gainprm[:, 0], robot.kp)

@@ -18,7 +18,7 @@ from torchrl_atr.envs.models import (
     TransporterError,
     build_scene,
     get_transporter,
-    scene_spec,
+    scene_mjspec,
 )
 from torchrl_atr.envs.riding import RidingEnv
 
@@ -74,8 +74,8 @@ def test_two_boards_lie_side_by_side_with_the_right_legs_on_the_right_one(stand)
 
 
 def test_self_balancing_gains_follow_their_unit():
-    for readings, unit in ((Interpretation(), 180 / np.pi), (get_interpretation("literal"), 1.0)):
-        scene = build_scene(A1, Transporter(BOARD, readings))
+    for interpretation, unit in ((Interpretation(), 180 / np.pi), (get_interpretation("literal"), 1.0)):
+        scene = build_scene(A1, Transporter(BOARD, interpretation))
         tilt, dofs = scene.support_layout.tilt_joints, scene.support_layout.tilt_dof
         np.testing.assert_allclose(scene.model.jnt_stiffness[tilt], 1.15 * unit)
         np.testing.assert_allclose(scene.model.dof_damping[dofs], 0.025 * unit)
@@ -144,7 +144,7 @@ def test_zero_action_stands():
 
 
 def test_scene_is_a_file_that_mujoco_opens():
-    xml = scene_spec(A1, Transporter(BOARD)).to_xml()
+    xml = scene_mjspec(A1, Transporter(BOARD)).to_xml()
     loaded = mujoco.MjModel.from_xml_string(xml)
     assert loaded.key("stand").id == 0
     np.testing.assert_allclose(loaded.key_qpos[0], build_scene(A1, Transporter(BOARD)).model.key_qpos[0], atol=1e-5)

@@ -62,14 +62,14 @@ def scene() -> Scene:
 
 @pytest.fixture
 def make_context(scene: Scene) -> ContextMaker:
-    """``make_context(command=, action=, previous_action=, terminated=, readings=, **state)``, one robot."""
+    """``make_context(command=, action=, previous_action=, terminated=, interpretation=, **state)``, one robot."""
 
     def make(
         command: tuple[float, float] = (0.0, 0.0),
         action: object = None,
         previous_action: object = None,
         terminated: bool = False,
-        readings: Interpretation | None = None,
+        interpretation: Interpretation | None = None,
         **state: object,
     ) -> StepContext:
         def row(value: object) -> Tensor:
@@ -82,7 +82,7 @@ def make_context(scene: Scene) -> ContextMaker:
             previous_action=row(previous_action),
             terminated=torch.tensor([terminated]),
             scene=scene,
-            readings=readings or Interpretation(),
+            interpretation=interpretation or Interpretation(),
         )
 
     return make

@@ -31,7 +31,7 @@ def drive(
         "angular_velocity": (rotation * torch.tensor([[0.0, 0.0, yaw_rate]]).unsqueeze(-1)).sum(-2),
         "orientation": euler[:, :2],
     }
-    context = SimpleNamespace(state=state, readings=get_interpretation(), memory={}, sensed=sensed.__getitem__)
+    context = SimpleNamespace(state=state, interpretation=get_interpretation(), memory={}, sensed=sensed.__getitem__)
     context.memory[KEY] = term.start(context)
     for _ in range(round(seconds / CONTROL_DT)):
         context.memory[KEY] = term.update(context)
@@ -117,7 +117,7 @@ def test_a_turn_corrects_a_start_that_drifted():
         "orientation": torch.zeros(1, 2),
     }
     own = SimpleNamespace(rotation=level, euler=torch.zeros(1, 3), velocity=state)
-    context = SimpleNamespace(state=own, readings=get_interpretation(), memory={}, sensed=sensed.__getitem__)
+    context = SimpleNamespace(state=own, interpretation=get_interpretation(), memory={}, sensed=sensed.__getitem__)
     context.draws = {KEY: torch.tensor([[0.0, 1.0, 0.9]])}
     context.memory[KEY] = term.start(context)
     assert group[KEY].function(context)[0, 0] > 2.0 + DRIFT

@@ -12,8 +12,8 @@ from torchrl_atr.envs.tasks.reward_terms import RewardError, RewardFunction, Rew
 TRACKING = ("forward_command", "steering_command")
 
 
-def reward_function(context, terms=RIDING_REWARDS, **readings):
-    context.readings = Interpretation(**readings)
+def reward_function(context, terms=RIDING_REWARDS, **interpretation):
+    context.interpretation = Interpretation(**interpretation)
     return RewardFunction(terms, context, TRACKING)
 
 

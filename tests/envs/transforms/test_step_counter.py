@@ -8,19 +8,19 @@ from torchrl.envs import SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 from torchrl.testing.mocking_classes import CountingBatchedEnv, CountingEnv
 
-from torchrl_atr.envs.transforms import LimitGrowth, RandomizedStepCounter
+from torchrl_atr.envs.transforms import RandomizedStepCounter, TimeLimitGrowth
 
 LIMIT, ENVS = 10, 64
 
 
-def env(every: int = 1, growth: LimitGrowth | None = None) -> TransformedEnv:
+def env(check_interval: int = 1, growth: TimeLimitGrowth | None = None) -> TransformedEnv:
     endless = CountingBatchedEnv(max_steps=torch.full((ENVS,), 10**6), batch_size=[ENVS])
-    return TransformedEnv(endless, RandomizedStepCounter(LIMIT, seed=0, every=every, growth=growth))
+    return TransformedEnv(endless, RandomizedStepCounter(LIMIT, seed=0, check_interval=check_interval, growth=growth))
 
 
-def ends(every: int) -> torch.Tensor:
+def ends(check_interval: int) -> torch.Tensor:
     """When episodes end, (ENVS, steps) bool."""
-    return env(every).rollout(5 * LIMIT, break_when_any_done=False)["next", "truncated"].squeeze(-1)
+    return env(check_interval).rollout(5 * LIMIT, break_when_any_done=False)["next", "truncated"].squeeze(-1)
 
 
 def test_first_episodes_end_anywhere_and_later_ones_last_their_time():
@@ -31,19 +31,19 @@ def test_first_episodes_end_anywhere_and_later_ones_last_their_time():
         assert row.nonzero().squeeze(-1).tolist() == list(range(start, 3 * LIMIT, LIMIT))
 
 
-@pytest.mark.parametrize("every", [4, 7, 16])
-def test_episodes_end_together_at_the_first_multiple_from_the_limit_on(every):
-    for row, each_step in zip(ends(every), ends(1)):
+@pytest.mark.parametrize("check_interval", [4, 7, 16])
+def test_episodes_end_together_at_the_first_multiple_from_the_limit_on(check_interval):
+    for row, each_step in zip(ends(check_interval), ends(1)):
         found = row.nonzero().squeeze(-1) + 1
         first = int(each_step.int().argmax()) + 1
-        wanted = [-(-first // every) * every]  # rounded up
+        wanted = [-(-first // check_interval) * check_interval]  # rounded up
         while wanted[-1] + LIMIT <= 5 * LIMIT:
-            wanted.append(-(-(wanted[-1] + LIMIT) // every) * every)
+            wanted.append(-(-(wanted[-1] + LIMIT) // check_interval) * check_interval)
         assert found.tolist() == [step for step in wanted if step <= 5 * LIMIT]
 
 
 def test_done_follows_truncated_at_every_step():
-    data = env(every=4).rollout(3 * LIMIT, break_when_any_done=False)["next"]
+    data = env(check_interval=4).rollout(3 * LIMIT, break_when_any_done=False)["next"]
     assert data["truncated"].any()
     assert torch.equal(data["done"], data["truncated"])
 
@@ -56,7 +56,7 @@ def test_a_restored_state_goes_on_at_the_same_phase():
             ends.append(stepped["next", "truncated"])
         return torch.cat(ends, -1), data
 
-    original, restored = env(every=4), env(every=4)
+    original, restored = env(check_interval=4), env(check_interval=4)
     _, data = ride(original, original.reset(), 6)
     restored.reset()
     restored.transform.load_state_dict(original.transform.state_dict())
@@ -67,13 +67,13 @@ def test_a_restored_state_goes_on_at_the_same_phase():
 
 
 def test_a_limit_grows_geometrically_between_two_steps():
-    growth = LimitGrowth(first=2, begin=20, end=60)
+    growth = TimeLimitGrowth(first=2, begin=20, end=60)
     assert [growth.limit(step, 32) for step in (0, 20, 30, 40, 50, 60, 10**9)] == [2, 2, 4, 8, 16, 32, 32]
-    assert LimitGrowth(first=2, begin=20, end=20).limit(19, 32) == 2
+    assert TimeLimitGrowth(first=2, begin=20, end=20).limit(19, 32) == 2
 
 
 def test_episodes_become_longer_where_the_limit_grows():
-    data = env(growth=LimitGrowth(first=2, begin=20, end=40)).rollout(80, break_when_any_done=False)["next"]
+    data = env(growth=TimeLimitGrowth(first=2, begin=20, end=40)).rollout(80, break_when_any_done=False)["next"]
     lengths = torch.where(data["truncated"], data["step_count"], 0).squeeze(-1)
     assert set(lengths[:, :20].unique().tolist()) == {0, 2}
     growing = lengths[:, 20:40].amax(0)
@@ -82,17 +82,17 @@ def test_episodes_become_longer_where_the_limit_grows():
 
 
 def test_a_restored_env_has_the_limit_that_it_had():
-    growth = LimitGrowth(first=2, begin=20, end=40)
+    growth = TimeLimitGrowth(first=2, begin=20, end=40)
     original, restored = env(growth=growth), env(growth=growth)
     original.rollout(30, break_when_any_done=False)
     restored.transform.load_state_dict(original.transform.state_dict())
     assert 2 < restored.transform.limit == original.transform.limit < LIMIT
 
 
-@pytest.mark.parametrize("every", [0, -3])
-def test_impossible_multiples_are_refused(every):
-    with pytest.raises(ValueError, match=f"every must be at least 1, got {every}"):
-        RandomizedStepCounter(LIMIT, every=every)
+@pytest.mark.parametrize("check_interval", [0, -3])
+def test_impossible_multiples_are_refused(check_interval):
+    with pytest.raises(ValueError, match=f"check_interval must be at least 1, got {check_interval}"):
+        RandomizedStepCounter(LIMIT, check_interval=check_interval)
 
 
 def test_each_env_of_a_serial_one_draws_its_own():

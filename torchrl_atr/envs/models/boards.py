@@ -54,7 +54,7 @@ class Transporter(Support):
 
     Attributes:
         spec: its design and measures.
-        readings: the unit and scale of the self-balancing gains (A12).
+        interpretation: the unit and scale of the self-balancing gains (A12).
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, TRANSPORTERS, build_scene
@@ -64,7 +64,7 @@ class Transporter(Support):
     """
 
     spec: TransporterSpec
-    readings: Interpretation = dataclasses.field(default_factory=Interpretation)
+    interpretation: Interpretation = dataclasses.field(default_factory=Interpretation)
 
     kind = "transporter"
     contact = (mujoco.mjtObj.mjOBJ_XBODY, PIVOT)
@@ -122,7 +122,7 @@ class Transporter(Support):
             rgba=[0.25, 0.45, 0.62, 1] if board.offset <= 0 else [0.32, 0.53, 0.7, 1],
         )
         touch(geom)
-        stiffness, damping = self.spec.springs(self.readings)
+        stiffness, damping = self.spec.springs(self.interpretation)
         for hinge in board.hinges:
             joint = body.add_joint(name=hinge.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=hinge.axis)
             joint.stiffness = [stiffness[hinge.gain], 0, 0]

@@ -15,17 +15,17 @@ if TYPE_CHECKING:
     from torchrl_atr.envs.models.transporter import TransporterSpec
 
 Drive = Callable[[Tensor, Tensor, "TransporterSpec", Interpretation], Tensor]
-"""Function of tilt (N, 2), speeds (N, 2), transporter and readings that returns the propulsion (N, 2), float64."""
+"""Function of tilt (N, 2), speeds (N, 2), transporter and interpretation; returns the propulsion (N, 2), float64."""
 
 
-def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readings: Interpretation) -> Tensor:
+def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, interpretation: Interpretation) -> Tensor:
     """Compute the propulsion of Eqs. 1 and 3 (or 7 and 8) before resistance, for a transporter of unit relative mass.
 
     Args:
         tilt: forward tilt θ_y (or θ_avg) and steering tilt θ_x (or θ_dif), rad, (N, 2).
         speeds: v_f, m/s, and ω_z, rad/s, (N, 2); not used.
         transporter: its drive limits.
-        readings: ``steering_smoothing`` (A11).
+        interpretation: ``steering_smoothing`` (A11).
 
     Returns:
         Forward drive v̇max clip(θ_y/θnp), m/s², and yaw drive αmax sgn(θ_y) clip(-θ_x/θnp), rad/s², with sgn(0) = 1 as
@@ -38,7 +38,7 @@ def tilt_drive(tilt: Tensor, speeds: Tensor, transporter: TransporterSpec, readi
         >>> tilt_drive(tilt, torch.zeros_like(tilt), board, Interpretation())[0, 0].item()
         6.0
     """
-    smoothing = readings.steering_smoothing
+    smoothing = interpretation.steering_smoothing
     forward = tilt[..., 0]
     sign = torch.tanh(forward / smoothing) if smoothing else torch.copysign(_ONE, forward + 0.0)  # sgn(-0) = 1, too
     pushes = (tilt / transporter.tilt_norm).clamp_(-1.0, 1.0)

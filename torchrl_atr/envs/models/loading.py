@@ -17,7 +17,7 @@ from torchrl_atr.envs.models.isolation import isolate, write_inertias
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
 
 
-def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+def load_robot_model(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     """Load the robot's MJCF file and prepare it for a scene.
 
     The robot itself stays as the file has it: bodies, inertias, joints with their damping, friction and limits, meshes,
@@ -36,7 +36,7 @@ def load_robot(robot: RobotSpec) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS
-        >>> spec, model = load_robot(ROBOTS.get("go1"))
+        >>> spec, model = load_robot_model(ROBOTS.get("go1"))
         >>> len(spec.actuators), round(float(mujoco.mj_getTotalmass(model)), 3)
         (12, 12.14)
     """

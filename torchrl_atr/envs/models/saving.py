@@ -11,7 +11,7 @@ import mujoco
 from torchrl_atr.envs.models.identity import describe, differences, first_few
 from torchrl_atr.envs.models.loading import blame_file, compile_spec
 from torchrl_atr.envs.models.robot import RobotSpec
-from torchrl_atr.envs.models.scene import join, scene_spec
+from torchrl_atr.envs.models.scene import join, scene_mjspec
 from torchrl_atr.envs.models.support import Support
 
 
@@ -27,7 +27,7 @@ def scene_xml(robot: RobotSpec, support: Support) -> str:
         >>> mujoco.MjModel.from_xml_string(xml).nu
         12
     """
-    spec = scene_spec(robot, support)
+    spec = scene_mjspec(robot, support)
     model = compile_spec(spec, robot)
     with blame_file(robot):
         xml = _name_classes(spec.to_xml())

@@ -11,7 +11,7 @@ import numpy as np
 from torchrl_atr.envs.models.contacts import CONTACTS
 from torchrl_atr.envs.models.feet import find_feet
 from torchrl_atr.envs.models.isolation import check_names
-from torchrl_atr.envs.models.loading import compile_spec, load_robot
+from torchrl_atr.envs.models.loading import compile_spec, load_robot_model
 from torchrl_atr.envs.models.robot import RobotSpec
 from torchrl_atr.envs.models.stance import standing_qpos
 from torchrl_atr.envs.models.support import FLOOR, Support
@@ -93,7 +93,7 @@ def build_scene(robot: RobotSpec, support: Support) -> Scene:
         >>> build_scene(ROBOTS.get("a1"), FlatGround()).model.nu
         12
     """
-    return join(robot, support, compile_spec(scene_spec(robot, support), robot))
+    return join(robot, support, compile_spec(scene_mjspec(robot, support), robot))
 
 
 def join(robot: RobotSpec, support: Support, model: mujoco.MjModel) -> Scene:
@@ -101,9 +101,9 @@ def join(robot: RobotSpec, support: Support, model: mujoco.MjModel) -> Scene:
     return Scene(robot, support, model, _layout(model, robot, support), support.locate(model))
 
 
-def scene_spec(robot: RobotSpec, support: Support) -> mujoco.MjSpec:
+def scene_mjspec(robot: RobotSpec, support: Support) -> mujoco.MjSpec:
     """Return the editable scene with its keyframe ``stand``; MuJoCo reads what ``to_xml()`` gives as the same model."""
-    spec, alone = load_robot(robot)
+    spec, alone = load_robot_model(robot)
     names = {geom.id: geom.name for geom in spec.geoms}
     feet = [names[geom] for foot in find_feet(alone, robot) for geom in foot]
     mass = float(mujoco.mj_getTotalmass(alone))

@@ -67,7 +67,7 @@ class Board:
 
 
 @dataclass(frozen=True)
-class Design:
+class TransporterDesign:
     """Type of transporter: its boards, the meaning of their hinge angles, and its drive.
 
     Attributes:
@@ -82,7 +82,8 @@ class Design:
 
     Example:
         >>> roll = Hinge("truck_roll", (1.0, 0.0, 0.0), gain=0)
-        >>> Design((Board("plank", 0.0, 1.0, (roll,)),), driving=((0.0,), (1.0,)), attitude=((0.0,), (1.0,))).hinges
+        >>> boards = (Board("plank", 0.0, 1.0, (roll,)),)
+        >>> TransporterDesign(boards, driving=((0.0,), (1.0,)), attitude=((0.0,), (1.0,))).hinges
         (Hinge(name='truck_roll', axis=(1.0, 0.0, 0.0), gain=0),)
     """
 
@@ -114,13 +115,13 @@ class Design:
 
 _POSITIVE = f"must be positive (a number in SI units, {SMALLEST:g} to {LARGEST:g})"
 _X, _Y = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-SINGLE_BOARD = Design(
+SINGLE_BOARD = TransporterDesign(
     boards=(Board("deck", 0.0, 1.0, (Hinge("platform_pitch", _Y, 1), Hinge("platform_roll", _X, 0))),),
     driving=((1.0, 0.0), (0.0, 1.0)),
     attitude=((1.0, 0.0), (0.0, 1.0)),
 )
 """Type 1 (Eqs. 1-6): pitch θ_y drives forward, roll θ_x steers."""
-TWO_BOARD = Design(
+TWO_BOARD = TransporterDesign(
     boards=(
         Board("deck_right", -0.25, 0.5, (Hinge("platform_pitch_right", _Y, 0),)),
         Board("deck_left", 0.25, 0.5, (Hinge("platform_pitch_left", _Y, 1),)),
@@ -155,7 +156,7 @@ class TransporterSpec:
     """
 
     name: str
-    design: Design
+    design: TransporterDesign
     size: tuple[float, float, float]
     mass: float
     max_acceleration: float = 12.0
@@ -168,8 +169,8 @@ class TransporterSpec:
 
     def __post_init__(self) -> None:
         check_text(self, "name")
-        if not isinstance(self.design, Design):
-            raise self.error(f"design={self.design!r} is none; choose one of {', '.join(DESIGNS)}")
+        if not isinstance(self.design, TransporterDesign):
+            raise self.error(f"design={self.design!r} is none; choose one of {', '.join(TRANSPORTER_DESIGNS)}")
         check_list(self, "size", float, 3, "give length, width and thickness in m")
         for side in self.size:
             check_positive(self, "size", side, _POSITIVE)
@@ -204,17 +205,17 @@ class TransporterSpec:
             total += mass * (own + np.array([1.0, 0.0, 1.0]) * (board.offset * self.size[1]) ** 2)
         return float(total[0]), float(total[1]), float(total[2])
 
-    def springs(self, readings: Interpretation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def springs(self, interpretation: Interpretation) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return nominal stiffness, N m/rad, and damping, N m s/rad, of the hinges in Table II's order, (2,) (A12)."""
-        unit = readings.sb_unit * (self.spring_scale if readings.scaled_springs else 1.0)
+        unit = interpretation.sb_unit * (self.spring_scale if interpretation.scaled_springs else 1.0)
         return unit * np.array(self.sb_stiffness), unit * np.array(self.sb_damping)
 
 
 TRANSPORTERS: Registry[TransporterSpec] = Registry("transporter", hint="or a .toml file that describes one")
-DESIGNS: Registry[Design] = Registry("design")
+TRANSPORTER_DESIGNS: Registry[TransporterDesign] = Registry("design")
 _SIZES = {"G1": ((0.9, 0.7, 0.05), 11.5, 1.0), "G2": ((1.5, 1.1, 0.05), 30.0, 5.0)}
 for _kind, _design in {"single_board": SINGLE_BOARD, "two_board": TWO_BOARD}.items():
-    DESIGNS.register(_kind, _design)
+    TRANSPORTER_DESIGNS.register(_kind, _design)
     for _group in GROUPS:
         _size, _mass, _scale = _SIZES[_group]
         _name = f"{_kind}_{_group.lower()}"
@@ -248,7 +249,7 @@ def get_transporter(transporter: str | Path | Mapping[str, Any] | TransporterSpe
     if is_spec_file(transporter):
         return read_transporter(transporter)
     group = robot.group.lower()
-    sized = [design for design in DESIGNS if f"{design}_{group}" in TRANSPORTERS]
+    sized = [design for design in TRANSPORTER_DESIGNS if f"{design}_{group}" in TRANSPORTERS]
     known = [*sized, *TRANSPORTERS]
     if not isinstance(transporter, str) or transporter not in known:
         raise unknown("transporter", transporter, known, TRANSPORTERS.hint)
@@ -279,7 +280,7 @@ def _convert(values: dict[str, Any]) -> None:
     """Replace the name of a design by the design; an unknown name stays, and is rejected by name."""
     if isinstance(values["design"], str):
         name = values["design"]
-        values["design"] = DESIGNS.get(name) if name in DESIGNS else name
+        values["design"] = TRANSPORTER_DESIGNS.get(name) if name in TRANSPORTER_DESIGNS else name
 
 
 def describe_transporter(transporter: TransporterSpec) -> str | dict[str, Any]:
@@ -289,7 +290,7 @@ def describe_transporter(transporter: TransporterSpec) -> str | dict[str, Any]:
     """
     if transporter.name in TRANSPORTERS.names() and TRANSPORTERS.get(transporter.name) == transporter:
         return transporter.name
-    design = next((name for name in DESIGNS if DESIGNS.get(name) == transporter.design), None)
+    design = next((name for name in TRANSPORTER_DESIGNS if TRANSPORTER_DESIGNS.get(name) == transporter.design), None)
     if design is None:
         return transporter.name
     values = {field.name: getattr(transporter, field.name) for field in dataclasses.fields(transporter)}

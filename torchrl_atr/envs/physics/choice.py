@@ -10,7 +10,7 @@ from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.physics.hook import SubstepHook
 
-PhysicsEngine = Literal["batch", "dm_control"]
+EngineName = Literal["batch", "dm_control"]
 
 
 def make_engine(

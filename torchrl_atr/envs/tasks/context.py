@@ -28,7 +28,7 @@ class StepContext:
         previous_action: a_{t-1}, (N, 12).
         terminated: early terminations, (N,) bool.
         scene: robot, support and their compiled nominal model.
-        readings: answers to the paper's open questions.
+        interpretation: answers to the paper's open questions.
         memory: values of the memory terms, by name, (N, size) each; memory terms see the step before.
         draws: random numbers of the memory terms that need some to start, by name; only at the start of episodes.
         observations: the task's groups of observation terms, by key and name; for :meth:`sensed`.
@@ -41,7 +41,7 @@ class StepContext:
     previous_action: Tensor
     terminated: Tensor
     scene: Scene
-    readings: Interpretation = field(default_factory=Interpretation)
+    interpretation: Interpretation = field(default_factory=Interpretation)
     memory: Mapping[str, Tensor] = field(default_factory=dict)
     observations: Mapping[NestedKey, Mapping[str, Any]] = field(default_factory=dict)
     errors: Mapping[NestedKey, GroupErrors] = field(default_factory=dict)

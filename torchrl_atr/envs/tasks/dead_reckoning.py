@@ -60,7 +60,7 @@ def _drift(c: StepContext, key: str, share: float) -> tuple[Tensor, Tensor]:
 def _acceleration(c: StepContext) -> Tensor:
     """Return the measured v̇_B without gravity, body frame, m/s², (N, 3)."""
     measured = c.sensed("acceleration")
-    if not c.readings.gravity_in_acceleration:
+    if not c.interpretation.gravity_in_acceleration:
         return measured
     roll, pitch = c.sensed("orientation").unbind(-1)
     return measured - GRAVITY * matrix_from_euler(roll, pitch, torch.zeros_like(roll))[:, 2]

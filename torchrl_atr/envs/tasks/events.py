@@ -130,7 +130,7 @@ def stand(scene: Scene, command: Tensor, generator: torch.Generator) -> InitialS
 
 def tilted(c: StepContext) -> Tensor:
     """Return whether body roll or pitch is beyond the limit (A34), (N,)."""
-    return (c.state.euler[:, :2].abs() > c.readings.tilt_limit).any(-1)
+    return (c.state.euler[:, :2].abs() > c.interpretation.tilt_limit).any(-1)
 
 
 def too_low(c: StepContext) -> Tensor:

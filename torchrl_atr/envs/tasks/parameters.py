@@ -84,9 +84,9 @@ def scaled(function: Apply, unit: float | Tensor, fields: ModelFields, value: Te
     function(fields, value * unit, scene)
 
 
-def robot_parameters(robot: RobotSpec, readings: Interpretation) -> dict[str, IntrinsicParameter]:
-    """Return Table II's rows of the robot and its feet, by name in its order; ``readings`` decide on A13."""
-    stiffness, damping = (robot.kp, robot.kd) if readings.gains_as_ratios else (TABLE_II_KP, TABLE_II_KD)
+def robot_parameters(robot: RobotSpec, interpretation: Interpretation) -> dict[str, IntrinsicParameter]:
+    """Return Table II's rows of the robot and its feet, by name in its order; ``interpretation`` answers A13."""
+    stiffness, damping = (robot.kp, robot.kd) if interpretation.gains_as_ratios else (TABLE_II_KP, TABLE_II_KD)
     return {
         "payload": IntrinsicParameter(payload, (0.0, 1.0), (0.0, 3.0), 0.0),
         "com_shift": IntrinsicParameter(com_shift, (-0.2, 0.2), (-0.25, 0.25), 0.0, 3, mirrors.POLAR),

@@ -15,7 +15,7 @@ from torchrl_atr.envs.tasks.state import GRAVITY
 
 def body_acceleration(c: StepContext) -> Tensor:
     """Return v̇_B in the body frame, m/s², (N, 3); as specific force if the profile asks for an IMU (A18)."""
-    if c.readings.gravity_in_acceleration:
+    if c.interpretation.gravity_in_acceleration:
         return c.state.body_acceleration + GRAVITY * c.state.rotation[:, 2]
     return c.state.body_acceleration
 

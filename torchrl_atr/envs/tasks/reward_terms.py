@@ -68,8 +68,8 @@ class RewardFunction:
 
     Args:
         terms: by name.
-        context: of N robots, on which every term is checked; its readings decide whether rewards are multiplied by the
-            control period (A16) and clipped (A17).
+        context: of N robots, on which every term is checked; its interpretation decides whether rewards are multiplied
+            by the control period (A16) and clipped (A17).
         tracking: names of the terms that a command curriculum scores.
 
     Attributes:
@@ -83,8 +83,8 @@ class RewardFunction:
     def __init__(self, terms: Mapping[str, RewardTerm], context: StepContext, tracking: Sequence[str] = ()) -> None:
         if not isinstance(terms, Mapping) or not terms:
             raise RewardError(f"rewards={terms!r}; give a mapping of names to RewardTerm, such as RIDING_REWARDS")
-        self.terms, self.readings, self._tracking = dict(terms), context.readings, tuple(tracking)
-        self.scale = CONTROL_DT if self.readings.rewards_times_dt else 1.0
+        self.terms, self.interpretation, self._tracking = dict(terms), context.interpretation, tuple(tracking)
+        self.scale = CONTROL_DT if self.interpretation.rewards_times_dt else 1.0
         for name, term in self.terms.items():
             _try(name, term, context)
         weights = [self.scale * term.weight for term in self.terms.values()]
@@ -101,7 +101,7 @@ class RewardFunction:
         terms = torch.stack([term.function(context) for term in self.terms.values()]).to(self._weights.dtype)
         terms = terms.unsqueeze(-1) * self._weights
         total = terms.sum(0)
-        if self.readings.positive_rewards:
+        if self.interpretation.positive_rewards:
             names = list(self.terms)
             ended = terms[names.index(TERMINATION)] if TERMINATION in names else torch.zeros_like(total)
             total = (total - ended).clamp_min(0.0) + ended

@@ -78,17 +78,17 @@ class Task:
         reset: function that returns initial states.
         disturbances: periodic disturbances, by name.
         memory: quantities that are carried from step to step, by name.
-        tracking: reward terms that a command curriculum scores, one for each component of the command.
+        tracking_rewards: reward terms that a command curriculum scores, one for each component of the command.
         state_extractor: class that computes a state from an engine's tensors.
-        hook: class that acts on an engine before every substep; None for nothing.
-        readings: answers to the paper's open questions.
+        substep_hook: class that acts on an engine before every substep; None for nothing.
+        interpretation: answers to the paper's open questions.
         reward_schedule: factors by which a learner multiplies terms of the reward, by the term's name, as functions of
             the progress of training in [0, 1]. The env's rewards are those of :attr:`rewards` throughout.
         arguments: plain values from which :func:`~torchrl_atr.envs.tasks.make_task` makes a task of the same name and
             scene; empty for a task that is not registered.
 
     Add, drop or change a term by :meth:`replace`. Some fields depend on the answers to the paper's open questions: for
-    other :attr:`readings`, use the argument ``profile`` of the task's function.
+    another :attr:`interpretation`, use the argument ``profile`` of the task's function.
 
     Raises:
         InputError: for a field of another kind, or one that names a term that does not exist.
@@ -112,10 +112,10 @@ class Task:
     reset: Reset = stand
     disturbances: Mapping[str, Disturbance] = field(default_factory=dict)
     memory: Mapping[str, MemoryTerm] = field(default_factory=dict)
-    tracking: Sequence[str] = ()
+    tracking_rewards: Sequence[str] = ()
     state_extractor: type[StateExtractor] = StateExtractor
-    hook: Callable[[Engine], SubstepHook] | None = None
-    readings: Interpretation = field(default_factory=Interpretation)
+    substep_hook: Callable[[Engine], SubstepHook] | None = None
+    interpretation: Interpretation = field(default_factory=Interpretation)
     reward_schedule: Mapping[str, Callable[[float], float]] = field(default_factory=dict)
     arguments: Mapping[str, Any] = field(default_factory=dict)
 

@@ -29,8 +29,8 @@ _KINDS: dict[str, tuple[Any, str]] = {
     "terminations": (Mapping, "a mapping of names to functions"),
     "disturbances": (Mapping, "a mapping of names to Disturbance"),
     "memory": (Mapping, "a mapping of names to MemoryTerm"),
-    "tracking": ((list, tuple), "a list of names of reward terms"),
-    "readings": (Interpretation, "Interpretation, such as get_interpretation('default')"),
+    "tracking_rewards": ((list, tuple), "a list of names of reward terms"),
+    "interpretation": (Interpretation, "Interpretation, such as get_interpretation('default')"),
     "reward_schedule": (Mapping, "a mapping of names of reward terms to functions"),
     "arguments": (Mapping, "a mapping of names to plain values"),
 }
@@ -57,8 +57,10 @@ def check_task(task: Task) -> None:
             raise _error(task, f"the reward_schedule of {name!r} is {factor!r}; give a function of the progress")
     if not callable(task.reset):
         raise _error(task, f"reset={task.reset!r} cannot be called; give a function")
-    if not (task.hook is None or callable(task.hook)):
-        raise _error(task, f"hook={task.hook!r} cannot be called; give a subclass of SubstepHook, or None")
+    if not (task.substep_hook is None or callable(task.substep_hook)):
+        raise _error(
+            task, f"substep_hook={task.substep_hook!r} cannot be called; give a subclass of SubstepHook, or None"
+        )
     if not (isinstance(task.state_extractor, type) and issubclass(task.state_extractor, StateExtractor)):
         raise _error(task, f"state_extractor={task.state_extractor!r}; give a subclass of StateExtractor")
 

@@ -81,7 +81,7 @@ class TaskTerms:
         context.memory = self.no_memory = memory_terms.started(task.memory, context)
         for name, termination in task.terminations.items():
             _try_termination(name, termination, context)
-        self.rewards = RewardFunction(task.rewards, context, task.tracking)
+        self.rewards = RewardFunction(task.rewards, context, task.tracking_rewards)
         self.observations = Observations(task.observations, context)
         self._columns = {key: columns_of(sizes) for key, sizes in self.observations.sizes.items()}
         self.causes = (DIVERGED, *task.terminations)
@@ -119,7 +119,7 @@ class TaskTerms:
             previous_action,
             nobody,
             self.scene,
-            task.readings,
+            task.interpretation,
             memory,
             task.observations,
             sensors,

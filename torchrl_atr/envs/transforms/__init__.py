@@ -6,15 +6,15 @@ from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
 from torchrl_atr.envs.transforms.stack import task_transforms
-from torchrl_atr.envs.transforms.step_counter import LimitGrowth, RandomizedStepCounter
+from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter, TimeLimitGrowth
 
 __all__ = [
     "CommandCurriculum",
     "CommandGrid",
     "CompactStorage",
-    "LimitGrowth",
     "ObservationHistory",
     "OverspeedTermination",
     "RandomizedStepCounter",
+    "TimeLimitGrowth",
     "task_transforms",
 ]

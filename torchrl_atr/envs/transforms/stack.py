@@ -12,7 +12,7 @@ from torchrl_atr.envs.transforms.compact_storage import CompactStorage
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
-from torchrl_atr.envs.transforms.step_counter import LimitGrowth, RandomizedStepCounter
+from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter, TimeLimitGrowth
 
 
 def task_transforms(
@@ -22,7 +22,7 @@ def task_transforms(
     include_current: bool = False,
     max_steps: int = 1000,
     stagger: int = 0,
-    limit_growth: LimitGrowth | None = None,
+    time_limit_growth: TimeLimitGrowth | None = None,
     overspeed_margin: tuple[float, float] | None = None,
     overspeed_penalty: float = 0.0,
     compact_storage: bool = False,
@@ -42,7 +42,7 @@ def task_transforms(
         max_steps: Steps after which an episode is truncated (20 s at 50 Hz).
         stagger: If positive, the first episodes end at different times, and the limit is checked every ``stagger``
             steps: a :class:`RandomizedStepCounter`.
-        limit_growth: Lower time limit at first, of a :class:`RandomizedStepCounter`, which ``stagger`` makes.
+        time_limit_growth: Lower time limit at first, of a :class:`RandomizedStepCounter`, which ``stagger`` makes.
         overspeed_margin: If given, of a :class:`OverspeedTermination` behind the curriculum, m/s and rad/s.
         overspeed_penalty: Added to the reward where an episode ends for its speed.
         compact_storage: Whether collected steps hold the history at the root alone, and reward terms in ``next`` alone:
@@ -71,7 +71,7 @@ def task_transforms(
         ObservationHistory(history_length, include_current=include_current),
         StepCounter(max_steps)
         if stagger == 0
-        else RandomizedStepCounter(max_steps, curriculum.get("seed"), stagger, limit_growth),
+        else RandomizedStepCounter(max_steps, curriculum.get("seed"), stagger, time_limit_growth),
         RewardSum(),
         *([CompactStorage(at_root=["history"], in_next=["reward_terms"])] if compact_storage else []),
     )

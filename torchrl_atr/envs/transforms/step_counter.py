@@ -14,7 +14,7 @@ from torchrl_atr.envs.transforms.seeding import OwnGenerator, make_generator
 _NEVER = torch.iinfo(torch.int64).max
 
 
-class LimitGrowth(NamedTuple):
+class TimeLimitGrowth(NamedTuple):
     """Growth of a time limit over the steps of an env since its first reset, geometric from ``begin`` to ``end``.
 
     Attributes:
@@ -23,7 +23,7 @@ class LimitGrowth(NamedTuple):
         end: step from which it is the final one.
 
     Example:
-        >>> growth = LimitGrowth(first=100, begin=1000, end=2000)
+        >>> growth = TimeLimitGrowth(first=100, begin=1000, end=2000)
         >>> [growth.limit(step, 400) for step in (0, 1500, 2000)]
         [100, 200, 400]
     """
@@ -48,18 +48,19 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
     ``RandomTruncationTransform`` draws horizons from the global generator and compares once more at every step; this
     draws counts from its own.
 
-    A reset of one env costs about as much as one of twenty. With ``every`` they reset together: an episode
-    that has lasted ``max_steps`` continues to the next multiple of ``every`` steps of the env.
+    A reset of one env costs about as much as one of twenty. With ``check_interval`` they reset together: an episode
+    that has lasted ``max_steps`` continues to the next multiple of ``check_interval`` steps of the env.
 
     Args:
         max_steps (int): Steps after which an episode is truncated.
         seed (int, optional): Of the counts; ``env.set_seed`` of a :class:`~torchrl_atr.envs.RidingEnv` sets it, too.
-        every (int): The limit is checked every so many steps, counted from the env's first reset. If ``max_steps`` is a
-            multiple of it, only first episodes and those that began after a fall last longer. Defaults to 1.
-        growth (LimitGrowth, optional): A lower limit at first, for training that begins with short episodes.
+        check_interval (int): The limit is checked every so many steps, counted from the env's first reset. If
+            ``max_steps`` is a multiple of it, only first episodes and those that began after a fall last longer.
+            Defaults to 1.
+        growth (TimeLimitGrowth, optional): A lower limit at first, for training that begins with short episodes.
 
     Raises:
-        ValueError: ``every`` is not positive.
+        ValueError: ``check_interval`` is not positive.
 
     Example:
         >>> from torchrl.envs import TransformedEnv
@@ -72,13 +73,13 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
     max_steps: int
 
     def __init__(
-        self, max_steps: int, seed: int | None = None, every: int = 1, growth: LimitGrowth | None = None
+        self, max_steps: int, seed: int | None = None, check_interval: int = 1, growth: TimeLimitGrowth | None = None
     ) -> None:
         super().__init__(check_whole("max_steps", max_steps, low=1))
-        every = check_whole("every", every, None)
-        if every < 1:
-            raise ValueError(f"every must be at least 1, got {every}")
-        self.every, self.growth = every, growth
+        check_interval = check_whole("check_interval", check_interval, None)
+        if check_interval < 1:
+            raise ValueError(f"check_interval must be at least 1, got {check_interval}")
+        self.check_interval, self.growth = check_interval, growth
         self._generator = make_generator(seed)
         self._steps = 0
 
@@ -100,7 +101,7 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._steps += 1
         final, now = self.max_steps, self.limit
-        self.max_steps = _NEVER if self._steps % self.every else now
+        self.max_steps = _NEVER if self._steps % self.check_interval else now
         try:
             return super()._step(tensordict, next_tensordict)
         finally:

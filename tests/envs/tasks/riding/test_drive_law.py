@@ -1,4 +1,4 @@
-"""The drive law against closed forms: Eqs. 1 and 3, and the readings A9-A11."""
+"""The drive law against closed forms: Eqs. 1 and 3, and the questions A9-A11."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ DECK = TRANSPORTERS.get("single_board_g1")
 DT = 0.005
 
 
-def law(**readings: object) -> DriveLaw:
-    """The default law with the jump of sgn(x) in the resistance, but for the given readings."""
-    return DriveLaw(DECK, get_interpretation("default", **{"coulomb_smoothing": 0.0, **readings}))
+def law(**answers: object) -> DriveLaw:
+    """The default law with the jump of sgn(x) in the resistance, but for the given answers."""
+    return DriveLaw(DECK, get_interpretation("default", **{"coulomb_smoothing": 0.0, **answers}))
 
 
 def doubles(values) -> torch.Tensor:
     return torch.as_tensor(values, dtype=torch.float64)
 
 
-def drive(tilt, readings: Interpretation) -> torch.Tensor:
+def drive(tilt, interpretation: Interpretation) -> torch.Tensor:
     """Propulsion of the board at rest at these (pitch, roll)."""
     tilt = doubles(tilt)
-    return tilt_drive(tilt, torch.zeros_like(tilt), DECK, readings)
+    return tilt_drive(tilt, torch.zeros_like(tilt), DECK, interpretation)
 
 
 def run(model: DriveLaw, tilt: tuple[float, float], speeds: tuple[float, float], steps: int, dt: float = DT):
@@ -133,10 +133,10 @@ def test_stiction_holds_the_deck_below_its_threshold_and_lets_go_above():
 
 
 def test_smoothed_coulomb_term_grows_from_zero():
-    readings = Interpretation(coulomb_smoothing=0.5)
-    assert resistance(torch.zeros(1), DECK.resistance, readings)[0] == 0.0
+    interpretation = Interpretation(coulomb_smoothing=0.5)
+    assert resistance(torch.zeros(1), DECK.resistance, interpretation)[0] == 0.0
     expected = np.tanh(1.0 / 0.5) * 0.255
-    assert resistance(torch.ones(1), DECK.resistance, readings).item() == pytest.approx(expected)
+    assert resistance(torch.ones(1), DECK.resistance, interpretation).item() == pytest.approx(expected)
 
 
 def test_smoothed_steering_sign_vanishes_at_zero_pitch():

@@ -169,7 +169,7 @@ def test_contacts_and_forces_are_those_on_the_feet():
 
 def test_an_imu_also_feels_gravity(make_context):
     def felt_in(profile: str) -> Tensor:
-        return body_acceleration(make_context(euler=[0.0, 0.5, 1.0], readings=get_interpretation(profile)))[0]
+        return body_acceleration(make_context(euler=[0.0, 0.5, 1.0], interpretation=get_interpretation(profile)))[0]
 
     assert felt_in("default").abs().max() == 0.0
     felt = felt_in("legged_gym")

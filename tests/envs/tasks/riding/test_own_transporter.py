@@ -11,8 +11,8 @@ from torchrl_atr.envs import RidingEnv
 from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import (
     Board,
-    Design,
     Hinge,
+    TransporterDesign,
     TransporterError,
     TransporterSpec,
     read_transporter,
@@ -62,7 +62,7 @@ def test_a_design_that_is_none_is_named(change, message):
     roll = Hinge("roll", (1.0, 0.0, 0.0), 0)
     parts = {"boards": (Board("deck", 0.0, 1.0, (roll,)),), "driving": ((0.0,), (1.0,)), "attitude": ((0.0,), (1.0,))}
     with pytest.raises(TransporterError, match=message):
-        Design(**{**parts, **change})
+        TransporterDesign(**{**parts, **change})
 
 
 def test_its_drive_is_a_function_of_tilt_and_speeds(skateboard):

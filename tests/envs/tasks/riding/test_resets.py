@@ -59,7 +59,7 @@ def test_a_state_that_is_no_number_ends_the_episode_too(name, value):
 
 def test_the_tilt_limit_is_a_reading(make_context):
     assert ended(make_context(euler=[0.0, 0.9, 0.0])) == []
-    assert ended(make_context(euler=[0.0, 0.9, 0.0], readings=get_interpretation("legged_gym"))) == ["tilted"]
+    assert ended(make_context(euler=[0.0, 0.9, 0.0], interpretation=get_interpretation("legged_gym"))) == ["tilted"]
 
 
 def test_displaced_robots_stand_shifted_and_turned_within_the_declared_bounds():

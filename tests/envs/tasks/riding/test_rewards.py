@@ -54,8 +54,8 @@ SHEET = [
     # 0.275 above the deck's centre, where 0.28 above its top = 0.305 is wanted
     ("height_maintenance", {"position": [0, 0, 0.425]}, -0.03),
     ("height_maintenance", {"position": [0, 0, 0.475]}, -0.02),
-    ("transporter_smoothness", {**TURNING, "readings": Interpretation(driven_smoothness=True)}, -(1.5 + 0.5)),
-    ("transporter_smoothness", {**TURNING, "readings": Interpretation(driven_smoothness=False)}, -(5.0 + 3.0)),
+    ("transporter_smoothness", {**TURNING, "interpretation": Interpretation(driven_smoothness=True)}, -(1.5 + 0.5)),
+    ("transporter_smoothness", {**TURNING, "interpretation": Interpretation(driven_smoothness=False)}, -(5.0 + 3.0)),
     ("body_orientation", {"euler": [0.3, -0.4, 2.0]}, -0.9 * 0.5),
     ("body_velocity", {"angular_velocity": [3, -4, 9], "velocity": [7, 7, -2]}, -1e-3 * (5.0 + 2.0)),
     ("action_smoothness", {"action": joints(3.0, 1.0), "previous_action": joints(0.0, 5.0)}, -1e-5 * 5.0),
@@ -117,7 +117,7 @@ def test_polygon_of_the_feet_in_contact():
 def test_a_lifted_foot_shrinks_the_polygon_only_if_read_so(make_context, term):
     lifted = {"foot_force": forces(30.0, 30.0, 0.0, 30.0), "com": [0.1, 0.06, 0.5]}
     for contacting, expected in ((False, 0.0), (True, -1.0)):
-        context = make_context(**lifted, readings=Interpretation(contacting_polygon=contacting))
+        context = make_context(**lifted, interpretation=Interpretation(contacting_polygon=contacting))
         assert RIDING_REWARDS[term](context).item() == expected
 
 
@@ -157,8 +157,8 @@ def test_the_env_emits_terms_that_make_up_its_reward(profile):
 def test_rewards_are_multiplied_by_the_control_period_unless_the_profile_says_no():
     rewards = []
     for times_dt in (True, False):
-        readings = get_interpretation("default", rewards_times_dt=times_dt)
-        env = RidingEnv(num_envs=2, seed=0, profile=readings, num_threads=1)
+        interpretation = get_interpretation("default", rewards_times_dt=times_dt)
+        env = RidingEnv(num_envs=2, seed=0, profile=interpretation, num_threads=1)
         td = env.reset().set("action", torch.zeros(2, 12))
         rewards.append(env.step(td)["next", "reward"])
     torch.testing.assert_close(rewards[0], 0.02 * rewards[1])

@@ -11,10 +11,10 @@ import torch
 from tensordict import TensorDict
 
 from torchrl_atr.envs import ROBOTS, RidingEnv
-from torchrl_atr.envs.models import DESIGNS, TRANSPORTERS, RobotError
+from torchrl_atr.envs.models import TRANSPORTER_DESIGNS, TRANSPORTERS, RobotError
 from torchrl_atr.envs.models.transporter import TWO_BOARD, TransporterError
 
-PAIRS = [(robot, transporter) for robot in ("a1", "go1", "anymal_c", "spot") for transporter in DESIGNS]
+PAIRS = [(robot, transporter) for robot in ("a1", "go1", "anymal_c", "spot") for transporter in TRANSPORTER_DESIGNS]
 
 
 def mirrored_simulation(env: RidingEnv, state: TensorDict) -> TensorDict:
@@ -102,7 +102,7 @@ def test_left_and_right_by_hand():
 
 
 def test_two_boards_swap_their_springs():
-    single, two = (RidingEnv(transporter=name, num_envs=1).reflections for name in DESIGNS)
+    single, two = (RidingEnv(transporter=name, num_envs=1).reflections for name in TRANSPORTER_DESIGNS)
     key = ("privileged", "intrinsic")
     springs = torch.arange(30, 34)
     assert single[key].argmax(-1)[springs].tolist() == [30, 31, 32, 33]

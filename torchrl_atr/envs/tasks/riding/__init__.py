@@ -95,25 +95,25 @@ def riding(
     displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
     drifted_start = check_number("drifted_start", drifted_start, 0.0, 1.0)
     dead_reckoned, velocity = dead_reckoning(velocity_filter, drifted=drifted_start)
-    readings = get_interpretation(profile)
+    interpretation = get_interpretation(profile)
     rider = with_gains(get_robot(robot), gains)
     spec = get_transporter(transporter, rider)
     return Task(
         name="riding",
         robot=rider,
-        support=Transporter(spec, readings),
+        support=Transporter(spec, interpretation),
         command=COMMANDS,
-        observations=observations(readings, with_sensors(PROPRIO, sensors), dead_reckoned),
+        observations=observations(interpretation, with_sensors(PROPRIO, sensors), dead_reckoned),
         rewards=rewards,
-        intrinsics=riding_intrinsics(rider, spec, readings),
+        intrinsics=riding_intrinsics(rider, spec, interpretation),
         terminations=TERMINATIONS,
         reset=start(moving_start, displaced_start),
         disturbances={} if pushed is None else {"push": Disturbance(partial(push, pushes=pushed), pushed.interval)},
         memory={KEY: velocity},
-        tracking=("forward_command", "steering_command"),
+        tracking_rewards=("forward_command", "steering_command"),
         state_extractor=RidingStateExtractor,
-        hook=DriveHook,
-        readings=readings,
+        substep_hook=DriveHook,
+        interpretation=interpretation,
         reward_schedule=_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),
         arguments={"robot": describe_robot(robot), "transporter": describe_transporter(spec), **gain_arguments(gains)},
     )

@@ -18,13 +18,13 @@ from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.physics.hook import SubstepHook
 
 
-def resistance(x: Tensor, coefficients: tuple[float, float, float], readings: Interpretation) -> Tensor:
+def resistance(x: Tensor, coefficients: tuple[float, float, float], interpretation: Interpretation) -> Tensor:
     """Compute the generalised resistance R(x) = c0 + c1 x + c2 x², signed (question A10).
 
     Args:
         x: forward speed (m/s) or yaw rate (rad/s), any shape.
         coefficients: (c0, c1, c2).
-        readings: ``odd_resistance`` and ``coulomb_smoothing``.
+        interpretation: ``odd_resistance`` and ``coulomb_smoothing``.
 
     Returns:
         R(x), same shape as ``x``; to be subtracted from the drive.
@@ -34,11 +34,11 @@ def resistance(x: Tensor, coefficients: tuple[float, float, float], readings: In
         -0.255
     """
     c0, c1, c2 = coefficients
-    if not readings.odd_resistance:
+    if not interpretation.odd_resistance:
         return c0 + c1 * x + c2 * x * x
     speed = x.abs()
     magnitude = (speed * c2).add_(c1).mul_(speed).add_(c0)
-    smoothing = readings.coulomb_smoothing
+    smoothing = interpretation.coulomb_smoothing
     return magnitude * (torch.tanh(x / smoothing) if smoothing else torch.sign(x))
 
 
@@ -48,7 +48,7 @@ def advance(
     coefficients: tuple[float, float, float],
     scale: Tensor,
     dt: float,
-    readings: Interpretation,
+    interpretation: Interpretation,
 ) -> Tensor:
     """Compute the speed after ``dt`` under ẋ = scale (push - R(x)).
 
@@ -60,14 +60,14 @@ def advance(
         coefficients: of R.
         scale: 1 / m_P or 1 / I_zz, or relative to nominal (A9), same shape or scalar.
         dt: s.
-        readings: interpretation of R.
+        interpretation: how R is read (A10).
     """
-    if readings.odd_resistance and not readings.coulomb_smoothing:
+    if interpretation.odd_resistance and not interpretation.coulomb_smoothing:
         free = x + dt * scale * push
-        opposing = resistance(x.abs(), coefficients, readings)
+        opposing = resistance(x.abs(), coefficients, interpretation)
         opposing = torch.where(x == 0.0, coefficients[0], opposing)
         return torch.sign(free) * (free.abs() - dt * scale * opposing).clamp_min(0.0)
-    return torch.addcmul(x, scale, push - resistance(x, coefficients, readings), value=dt)
+    return torch.addcmul(x, scale, push - resistance(x, coefficients, interpretation), value=dt)
 
 
 Combination = tuple[Tensor, ...] | None
@@ -78,7 +78,7 @@ def combination(matrix: Matrix, dtype: torch.dtype) -> Combination:
     """Return the factors that map hinge angles to forward and steering tilt, or pitch and roll.
 
     Args:
-        matrix: of a :class:`~torchrl_atr.envs.models.transporter.Design`, (2, hinges).
+        matrix: of a :class:`~torchrl_atr.envs.models.transporter.TransporterDesign`, (2, hinges).
         dtype: of the angles.
     """
     rows = torch.tensor(matrix, dtype=dtype).T
@@ -108,7 +108,7 @@ class DriveLaw:
 
     Attributes:
         transporter: geometry, mass, limits, and the design's own ``drive``.
-        readings: the paper's open questions.
+        interpretation: answers to the paper's open questions.
 
     Example:
         >>> from torchrl_atr.envs.models import TRANSPORTERS
@@ -120,7 +120,7 @@ class DriveLaw:
     """
 
     transporter: TransporterSpec
-    readings: Interpretation
+    interpretation: Interpretation
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "_driving", combination(self.transporter.design.driving, torch.float64))
@@ -135,7 +135,7 @@ class DriveLaw:
             Shape (N, 2): forward, yaw. The boards are uniform boxes, so I_zz (or I*_zz) follows their mass.
         """
         inertia = self.planar_inertia(mass)[:, 1:]
-        return (self._per_mass[1:] * self.transporter.mass if self.readings.relative_mass else 1.0) / inertia
+        return (self._per_mass[1:] * self.transporter.mass if self.interpretation.relative_mass else 1.0) / inertia
 
     def planar_inertia(self, mass: Tensor) -> Tensor:
         """Compute the inertia along x, along y and about z, kg, kg and kg m², (N, 3), for masses, kg, (N,)."""
@@ -155,8 +155,8 @@ class DriveLaw:
             dt: substep, s.
         """
         driving: Combination = vars(self)["_driving"]
-        pushes = self.transporter.design.drive(combine(tilt, driving), speeds, self.transporter, self.readings)
-        return advance(speeds, pushes, self.transporter.resistance, scale, dt, self.readings)
+        pushes = self.transporter.design.drive(combine(tilt, driving), speeds, self.transporter, self.interpretation)
+        return advance(speeds, pushes, self.transporter.resistance, scale, dt, self.interpretation)
 
 
 class DriveHook(SubstepHook):
@@ -177,7 +177,7 @@ class DriveHook(SubstepHook):
         support, layout = engine.scene.support, engine.scene.support_layout
         if not isinstance(layout, TransporterLayout):
             raise InputError(f"riding needs a Transporter to stand on, not {support.name!r}; give one as the support")
-        self.law = DriveLaw(support.spec, support.readings)
+        self.law = DriveLaw(support.spec, support.interpretation)
         self._tilt, self._planar = columns(layout.tilt_qpos), columns(layout.planar_dof)
         self._heading, self._boards = int(layout.planar_qpos[2]), columns(layout.board_bodies)
         self._armature = engine.nominal("dof_armature")[layout.planar_dof]

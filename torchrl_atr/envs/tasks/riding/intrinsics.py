@@ -21,18 +21,18 @@ _MIN_MASS_SHARE = 0.1
 
 
 def riding_intrinsics(
-    robot: RobotSpec, transporter: TransporterSpec, readings: Interpretation
+    robot: RobotSpec, transporter: TransporterSpec, interpretation: Interpretation
 ) -> dict[str, IntrinsicParameter]:
     """Return Table II's parameters by name, in its order; self-balancing gains are ratios of their ranges' midpoints.
 
     Args:
         robot: its nominal gains.
         transporter: its nominal mass and springs.
-        readings: the self-balancing gains' unit and scale (A12), the PD gains' (A13).
+        interpretation: the self-balancing gains' unit and scale (A12), the PD gains' (A13).
     """
-    own = robot_parameters(robot, readings)
+    own = robot_parameters(robot, interpretation)
     friction = own.pop("friction")
-    stiffness, damping = (torch.from_numpy(values) for values in transporter.springs(readings))
+    stiffness, damping = (torch.from_numpy(values) for values in transporter.springs(interpretation))
     springs = (0.8 / 1.15, 1.5 / 1.15), (0.5 / 1.15, 2.0 / 1.15)
     return {
         **own,

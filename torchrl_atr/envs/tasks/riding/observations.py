@@ -47,16 +47,16 @@ EXTRINSIC: Group = {
 """x_ext = [c, v_B, v_P, ω_P, p_B,xy in P, θ_B,z in P] by component (Table V's order)."""
 
 
-def extrinsic(readings: Interpretation) -> dict[str, ObservationTerm]:
+def extrinsic(interpretation: Interpretation) -> dict[str, ObservationTerm]:
     """Return x_ext's components: all of :data:`EXTRINSIC`, or without the relative pose (A1)."""
-    return {name: term for name, term in EXTRINSIC.items() if readings.relative_pose or "relative" not in name}
+    return {name: term for name, term in EXTRINSIC.items() if interpretation.relative_pose or "relative" not in name}
 
 
-def observations(readings: Interpretation, proprio: Group, dead_reckoned: Group) -> Mapping[NestedKey, Group]:
+def observations(interpretation: Interpretation, proprio: Group, dead_reckoned: Group) -> Mapping[NestedKey, Group]:
     """Return the groups of observations of the robot and its critic.
 
     Args:
-        readings: which components the extrinsic state has (A1).
+        interpretation: which components the extrinsic state has (A1).
         proprio: group of sensor values.
         dead_reckoned: group of the velocity computed from them.
     """
@@ -64,6 +64,6 @@ def observations(readings: Interpretation, proprio: Group, dead_reckoned: Group)
         "proprio": proprio,
         "speeds": SPEEDS,
         KEY: dead_reckoned,
-        ("privileged", "extrinsic"): extrinsic(readings),
+        ("privileged", "extrinsic"): extrinsic(interpretation),
         ("privileged", "tracking_forecast"): {"tracking_forecast": ObservationTerm(tracking_forecast, FORECAST_MIRROR)},
     }

@@ -67,7 +67,7 @@ def transporter_smoothness(c: StepContext) -> Tensor:
     robots turn half as fast as commanded. With the board's roll and pitch in α_P the term is -9 per second at an
     action noise of 0.2, against +16 for perfect tracking, and robots learn to end their episodes.
     """
-    if c.readings.driven_smoothness:
+    if c.interpretation.driven_smoothness:
         return c.state.driven_acceleration.abs().sum(-1)
     return c.state.platform_acceleration.norm(dim=-1) + c.state.platform_angular_acceleration.norm(dim=-1)
 
@@ -132,7 +132,7 @@ _AROUND = torch.tensor([0, 2, 3, 1])
 
 
 def _outside_feet(c: StepContext, point: Tensor) -> Tensor:
-    contacts = c.state.contacts > 0 if c.readings.contacting_polygon else None
+    contacts = c.state.contacts > 0 if c.interpretation.contacting_polygon else None
     return outside_polygon(point, c.state.foot_position[..., :2], contacts)
 
 

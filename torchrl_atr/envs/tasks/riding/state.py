@@ -75,7 +75,9 @@ class RidingStateExtractor(StateExtractor):
     def _hook(self) -> DriveHook:
         hook = self.engine.hook
         if not isinstance(hook, DriveHook):
-            raise InputError(f"a RidingState needs hook=DriveHook, not {type(hook).__name__}; give the task both")
+            raise InputError(
+                f"a RidingState needs substep_hook=DriveHook, not {type(hook).__name__}; give the task both"
+            )
         return hook
 
     def gather(self, rows: Rows = slice(None)) -> SimulationSnapshot:

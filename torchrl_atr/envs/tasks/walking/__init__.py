@@ -65,7 +65,7 @@ def walking(
     """
     pushed = Pushes.of(pushes)
     check_kind("rewards", rewards, Mapping, "a mapping of names to RewardTerm")
-    readings, walker = get_interpretation(profile), with_gains(get_robot(robot), gains)
+    interpretation, walker = get_interpretation(profile), with_gains(get_robot(robot), gains)
     speed = MAX_SPEED[walker.group] if max_speed is None else check_number("max_speed", max_speed, above=0.0)
     bounds = (speed, 1.0)
     grid = CommandGrid(
@@ -90,15 +90,15 @@ def walking(
             },
         },
         rewards=rewards,
-        intrinsics=robot_parameters(walker, readings),
+        intrinsics=robot_parameters(walker, interpretation),
         terminations={"tilted": tilted, "too_low": too_low},
         disturbances={}
         if pushed is None
         else {"push": Disturbance(partial(push_robot, pushes=pushed), pushed.interval)},
         memory={KEY: integrated, **MEMORY},
-        tracking=("forward_command", "turning_command"),
+        tracking_rewards=("forward_command", "turning_command"),
         state_extractor=WalkingStateExtractor,
-        readings=readings,
+        interpretation=interpretation,
         reward_schedule={name: factor for name, factor in effort_schedule().items() if name in rewards},
         arguments=arguments,
     )
