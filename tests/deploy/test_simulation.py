@@ -23,7 +23,7 @@ COMMAND = (1.0, 0.3)
 
 @pytest.mark.parametrize("name", ["single_board_g1", "two_board_g2"])
 @pytest.mark.parametrize(
-    "readings",
+    "interpretation",
     [
         {},
         {"coulomb_smoothing": 0.0},
@@ -31,15 +31,15 @@ COMMAND = (1.0, 0.3)
         {"steering_smoothing": 0.1},
     ],
 )
-def test_the_drive_law_is_ours(name, readings):
-    spec, own = TRANSPORTERS.get(name), Interpretation(**readings)
+def test_the_drive_law_is_ours(name, interpretation):
+    spec, own = TRANSPORTERS.get(name), Interpretation(**interpretation)
     law = DriveLaw(spec, own)
     scale = law.mass_scale(torch.tensor([spec.mass], dtype=torch.float64))
     facts = {
         **{key: getattr(spec, key) for key in ("mass", "max_acceleration", "max_yaw_acceleration", "tilt_norm")},
         "resistance": spec.resistance,
         "inertia_z": spec.inertia[2],
-        "readings": {key: getattr(own, key) for key in vars(own)},
+        "interpretation": {key: getattr(own, key) for key in vars(own)},
     }
     rng = np.random.default_rng(0)
     driving = np.array(spec.design.driving)

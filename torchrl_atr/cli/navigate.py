@@ -53,7 +53,7 @@ def navigate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.navigation.places import draw_places
     from torchrl_atr.navigation.report import trip_metrics, write_trips
     from torchrl_atr.navigation.trips import footprint_of
-    from torchrl_atr.training import DEPLOYED, load_run, make_env
+    from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
 
     where = load_map(arguments.map, arguments.resolution)
     output = arguments.output or arguments.run / "navigation" / where.name
@@ -67,7 +67,7 @@ def navigate(arguments: argparse.Namespace) -> None:
         asked = {"goal": goal, "turning_radius": radius, "footprint": footprint, "margin": arguments.margin}
         paths = plan_all(starts, available_cpus(), arguments.seed + 1, where=where, **asked)
         pursuit = PursuitConfig(speed=arguments.speed, max_yaw_rate=1.5 * arguments.yaw_rate)
-        chosen = {**DEPLOYED, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
+        chosen = {**DEPLOYMENT_OVERRIDES, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
         with StepCounter("riding") as counter, TorchThreads(announce=counter.note) as threads:
 
             def progress(done: int, total: int) -> None:

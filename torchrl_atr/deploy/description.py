@@ -51,9 +51,9 @@ def describe_policy(
         mastered: whether those are the commands that were measured as mastered, or all that were trained.
         provenance: of the run.
     """
-    task, scene, readings = env.task, env.scene, env.task.readings
+    task, scene, interpretation = env.task, env.scene, env.task.interpretation
     sizes = env.runner.terms.observations.sizes
-    grid, gravity = config.grid, readings.gravity_in_acceleration
+    grid, gravity = config.grid, interpretation.gravity_in_acceleration
     frames = {**_FRAMES, "acceleration": f"{_BODY}; {'specific force' if gravity else 'gravity subtracted'}"}
     frames["acceleration"] += f", mean over the control period of {1e3 * CONTROL_DT:.0f} ms"
     command = {"names": list(task.command.names), "units": list(task.command.units)}
@@ -104,7 +104,7 @@ def describe_policy(
         "history": {
             "length": config.env.history_length,
             "order": "oldest first",
-            "ends_with": "o_t" if readings.current_in_history else "o_{t-1}",
+            "ends_with": "o_t" if interpretation.current_in_history else "o_{t-1}",
             "start": "every row is the first observation of the episode; the first last action is zero",
         },
         "dead_reckoning": {
@@ -162,7 +162,7 @@ def _transporter(scene: Scene) -> dict[str, Any]:
     support = scene.support
     if not isinstance(support, Transporter):
         raise UserError(f"a policy on {support.name!r} cannot be exported; only riding is known to the runtime")
-    spec, readings = support.spec, support.readings
+    spec, interpretation = support.spec, support.interpretation
     return {
         "name": spec.name,
         "size": list(spec.size),
@@ -177,8 +177,8 @@ def _transporter(scene: Scene) -> dict[str, Any]:
         "hinges": [hinge.name for hinge in spec.design.hinges],
         "boards": list(support.geoms),
         "planar_joints": list(PLANAR_JOINTS),
-        "readings": {
-            name: getattr(readings, name)
+        "interpretation": {
+            name: getattr(interpretation, name)
             for name in ("relative_mass", "odd_resistance", "coulomb_smoothing", "steering_smoothing")
         },
     }

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
-from torchrl_atr.training import DEPLOYED, load_run, make_env
+from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
 
 
 class LoadedPolicy(NamedTuple):
@@ -52,4 +52,4 @@ def load_policy(policy: str | Path, imports: Sequence[str] = ()) -> LoadedPolicy
     config, env, networks, _ = load_run(policy, imports=imports, num_envs=1)
     env.close()
     policy = networks.deployed_policy().eval().requires_grad_(False)
-    return LoadedPolicy(policy, partial(make_env, config, **DEPLOYED))
+    return LoadedPolicy(policy, partial(make_env, config, **DEPLOYMENT_OVERRIDES))

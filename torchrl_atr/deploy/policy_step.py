@@ -15,7 +15,7 @@ from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import Scene
 from torchrl_atr.envs.tasks.dead_reckoning import KEY, METHODS
 from torchrl_atr.envs.tasks.proprioception import PROPRIO
-from torchrl_atr.modules import CommandRange, NetworkKeys, RidingNetworks
+from torchrl_atr.modules import CommandRange, NetworkKeys, ROANetworks
 
 SENSORS = tuple(name for name in PROPRIO if name != "action")
 """Sensor values that the policy reads, in the order of its inputs."""
@@ -54,7 +54,7 @@ class _Sensed:
 
     memory: Mapping[str, Tensor]
     proprio: Mapping[str, Tensor]
-    readings: Interpretation
+    interpretation: Interpretation
     state: Any = None
 
     def sensed(self, name: str) -> Tensor:
@@ -84,7 +84,7 @@ class PolicyStep(nn.Module):
     high: Tensor
 
     def __init__(
-        self, networks: RidingNetworks, task: Any, scene: Scene, method: str, limits: CommandRange | None
+        self, networks: ROANetworks, task: Any, scene: Scene, method: str, limits: CommandRange | None
     ) -> None:
         super().__init__()
         self.order = tuple(task.observations["proprio"])
@@ -95,7 +95,7 @@ class PolicyStep(nn.Module):
                 f"a policy of the task {task.name!r} cannot be exported: of {', '.join(sorted(strange))} the runtime "
                 f"knows nothing; it knows policies that read {', '.join(SENSORS)}, the last action and {KEY}"
             )
-        self.networks, self.limits, self.readings = networks, limits, task.readings
+        self.networks, self.limits, self.interpretation = networks, limits, task.interpretation
         self.method, self.scale = METHODS[method], scene.robot.action_scale
         for name, value in {"q0": scene.robot.q0, **target_limits(scene), "rest": self._rest()}.items():
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32), persistent=False)
@@ -104,7 +104,7 @@ class PolicyStep(nn.Module):
         """Return the state of the dead reckoning of a robot at rest, (1, size)."""
         zero, one = torch.zeros(1, 3), torch.eye(3).unsqueeze(0)
         at_rest = SimpleNamespace(velocity=zero, euler=zero, rotation=one)
-        return self.method.start(_Sensed({}, {}, self.readings, at_rest)).clone()
+        return self.method.start(_Sensed({}, {}, self.interpretation, at_rest)).clone()
 
     def forward(
         self,
@@ -139,10 +139,10 @@ class PolicyStep(nn.Module):
         observation = torch.cat([*(proprio[name] for name in self.order), command], -1)
         history = torch.where(start.unsqueeze(-1), observation.unsqueeze(-2), history)
         newest = torch.cat([history[:, 1:], observation.unsqueeze(-2)], 1)
-        moved = self.method.update(_Sensed({KEY: dead_reckoning}, proprio, self.readings))
+        moved = self.method.update(_Sensed({KEY: dead_reckoning}, proprio, self.interpretation))
         reckoned = torch.where(start, self.rest, moved)
-        velocity = self.method.observe(_Sensed({KEY: reckoned}, {}, self.readings), KEY)
-        shown, networks = newest if self.readings.current_in_history else history, self.networks
+        velocity = self.method.observe(_Sensed({KEY: reckoned}, {}, self.interpretation), KEY)
+        shown, networks = newest if self.interpretation.current_in_history else history, self.networks
         latent = networks.intrinsic_estimator(shown)
         extrinsic = networks.extrinsic_estimator(shown, *([velocity] if networks.estimator_inputs else []))
         action = networks.backbone(observation, latent, extrinsic)

@@ -27,17 +27,17 @@ def drive_law(speeds: Values, tilt: Values, transporter: Mapping[str, Any], dt: 
         transporter: of a manifest.
         dt: s.
     """
-    own, readings = transporter, transporter["readings"]
-    smoothing, x_s = readings["steering_smoothing"], readings["coulomb_smoothing"]
+    own, interpretation = transporter, transporter["interpretation"]
+    smoothing, x_s = interpretation["steering_smoothing"], interpretation["coulomb_smoothing"]
     sign = np.tanh(tilt[0] / smoothing) if smoothing else np.copysign(1.0, tilt[0] + 0.0)
     share = np.clip(tilt / own["tilt_norm"], -1.0, 1.0)
     push = share * (own["max_acceleration"], -own["max_yaw_acceleration"] * sign)
     inertia = np.array([own["mass"], own["inertia_z"]])
-    scale = dt * (1.0 if readings["relative_mass"] else 1.0 / inertia)
+    scale = dt * (1.0 if interpretation["relative_mass"] else 1.0 / inertia)
     c0, c1, c2 = own["resistance"]
     size = np.abs(speeds)
     magnitude = c0 + c1 * size + c2 * size**2
-    if not readings["odd_resistance"]:
+    if not interpretation["odd_resistance"]:
         return speeds + scale * (push - (c0 + c1 * speeds + c2 * speeds**2))
     if x_s:
         return speeds + scale * (push - magnitude * np.tanh(speeds / x_s))

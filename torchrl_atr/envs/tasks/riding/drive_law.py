@@ -222,7 +222,7 @@ class DriveHook(SubstepHook):
         """
         masses = self.engine.fields["body_mass"]
         inertia = self.law.planar_inertia(masses[:, self._boards].sum(-1))[:, ::2]
-        resisted = self._scale * resistance(self.speeds, self.law.transporter.resistance, self.law.readings)
+        resisted = self._scale * resistance(self.speeds, self.law.transporter.resistance, self.law.interpretation)
         power = inertia * resisted * self.speeds
         inertia[:, 0] = masses.sum(-1)
         return (power + inertia * self.acceleration() * self.speeds).sum(-1)
