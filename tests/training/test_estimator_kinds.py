@@ -300,4 +300,5 @@ def test_a_state_of_another_size_is_refused():
         else:
             with pytest.raises(ValueError, match=message):
                 with_state(env, networks.deployed_policy())
-    assert with_state(bare := CartEnv(3), small_networks(bare, "mlp").deployed_policy()) is bare
+    bare = CartEnv(3)
+    assert with_state(bare, small_networks(bare, "mlp").deployed_policy()) is bare

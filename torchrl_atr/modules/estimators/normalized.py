@@ -35,6 +35,7 @@ class NormalizedEstimator(nn.Module):
 
     Example:
         >>> import torch
+        >>> from torchrl_atr.modules.estimators import get_estimator
         >>> estimator = NormalizedEstimator(get_estimator("mlp")((4, 5), 3), RunningNormalizer(5))
         >>> estimator(torch.zeros(2, 4, 5)).shape
         torch.Size([2, 3])

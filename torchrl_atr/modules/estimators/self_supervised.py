@@ -62,9 +62,9 @@ class VariationalEstimator(TensorDictModuleBase):
 
     def losses(self, tensordict: TensorDictBase) -> dict[str, Tensor]:
         """Return the squared error of the next observation, and the divergence of the code from its prior."""
-        code = Normal(tensordict["code_mean"], tensordict["code_std"])
+        code = Normal(tensordict["code_mean"], tensordict["code_std"], validate_args=False)  # it would wait for a GPU
         error = self.decoder(code.rsample()) - tensordict[self.loss_in_keys[0]]
-        prior = Normal(torch.zeros_like(code.loc), torch.ones_like(code.scale))
+        prior = Normal(torch.zeros_like(code.loc), torch.ones_like(code.scale), validate_args=False)
         return {
             "reconstruction": self.coeff * error.square().mean(-1),
             "kl": self.coeff * self.kl_coeff * kl_divergence(code, prior).sum(-1),
