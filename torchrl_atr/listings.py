@@ -60,7 +60,7 @@ def estimators() -> Iterator[str]:
     from torchrl_atr.modules.estimators import EstimatorSpec, build_estimator
 
     rows = [["estimator", "made by", "parameters", "what it is"]]
-    for name in available_estimators():
+    for name in sorted(available_estimators()):
         factory = get_estimator(name)
         try:
             net = build_estimator(factory, EstimatorSpec("extrinsic", _HISTORY, {"extrinsic": _ESTIMATE}))

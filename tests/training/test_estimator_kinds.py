@@ -245,6 +245,22 @@ def test_riding_trains_and_is_evaluated(tmp_path, name):
     assert result.estimators.extrinsic.shape == (1, 1, 2, 16)
 
 
+def test_a_collector_carries_the_memory_from_batch_to_batch_and_drops_it_at_resets(tmp_path):
+    trainer = Trainer(make_config(SMALL), tmp_path, make_env=make_cart, make_networks=partial(networks_for, "gru"))
+    key, before, ended = "extrinsic_estimator_state", None, 0
+    for _ in range(3):
+        batch = trainer.collection.collect().clone()
+        root, after, done = batch[key], batch["next", key], batch["next", "done"].squeeze(-1)
+        ended += int(done.sum())
+        assert torch.equal(batch["is_init"].squeeze(-1)[:, 1:], done[:, :-1])
+        carried = after[:, :-1].masked_fill(done[:, :-1, None, None], 0.0)
+        assert torch.equal(root[:, 1:], carried)
+        assert before is None or torch.equal(root[:, 0], before)
+        before = after[:, -1].masked_fill(done[:, -1, None, None], 0.0)
+    assert ended
+    trainer._close()
+
+
 def test_a_memory_in_other_processes(tmp_path):
     config = make_config({**SMALL, "compute.collector": "process", "compute.workers": 2, "total_frames": 60})
     trainer = Trainer(config, tmp_path, make_env=make_cart, make_networks=partial(networks_for, "gru"))

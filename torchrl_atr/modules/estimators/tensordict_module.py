@@ -70,6 +70,7 @@ class EstimatorModule(TensorDictModuleBase):
         EstimatorError: if the estimator does not write its estimates, or reads privileged entries.
 
     Example:
+        >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl_atr.modules.estimators import get_estimator
         >>> spec = EstimatorSpec("extrinsic", (4, 5), {"extrinsic": 3})
