@@ -112,9 +112,16 @@ class EstimatorModule(TensorDictModuleBase):
         self.in_keys = list(net.in_keys)
         self.out_keys = [*spec.estimate_keys, *scales, *(("next", *_tuple(key)) for key in self.state_keys)]
         self.loss_in_keys = list(getattr(net, "loss_in_keys", ()))
-        norms: dict[Any, RunningNormalizer] = {spec.keys.observation: input_norm, spec.keys.history: input_norm}
-        norms |= side_norms or {}
-        self._norms = {unravel_key(key): norm for key, norm in norms.items()}  # no names in the state_dict
+        norms: dict[Any, RunningNormalizer] = {
+            spec.keys.observation: input_norm,
+            spec.next_observation_key: input_norm,
+            spec.keys.history: input_norm,
+            spec.keys.extrinsic: output_norm,
+            **(side_norms or {}),
+        }
+        # a plain dict by the declared keys: no names in the state_dict, and no search at every step
+        found = {unravel_key(key): norm for key, norm in norms.items()}
+        self._norms = {key: found.get(unravel_key(key)) for key in [*self.in_keys, *self.loss_in_keys]}
 
     @property
     def writes_scale(self) -> bool:
@@ -142,16 +149,9 @@ class EstimatorModule(TensorDictModuleBase):
             value = tensordict.get(key, None)
             if value is None:
                 raise KeyError(self._missing(key))
-            told.set(key, self._normalised(key, value))
+            norm = self._norms[key]
+            told.set(key, value if norm is None else norm(value))
         return self.net(told)
-
-    def _normalised(self, key: NestedKey, value: Tensor) -> Tensor:
-        name = unravel_key(key)
-        if name == unravel_key(self.spec.keys.extrinsic):
-            return self.output_norm(value)
-        if isinstance(name, tuple) and name[0] == "next":
-            name = name[1] if len(name) == 2 else name[1:]
-        return self._norms[name](value) if name in self._norms else value
 
     def _write(self, ran: TensorDictBase, tensordict: TensorDictBase) -> TensorDictBase:
         for key in self.out_keys:
