@@ -43,3 +43,10 @@ def test_an_estimator_of_ones_own():
     load("own_estimator")
     assert "dilated" in available_estimators()
     check_estimator(get_estimator("dilated"), history_shape=(7, 5), out_features=3)
+
+
+@pytest.mark.parametrize("role", ["intrinsic", "extrinsic", "both"])
+def test_an_estimator_of_ones_own_with_a_memory(role):
+    if "predictive_gru" not in available_estimators():
+        load("own_memory")
+    check_estimator(get_estimator("predictive_gru"), (7, 5), 3, role, width=8)

@@ -42,6 +42,7 @@ from torch.distributions import Distribution
 from torchrl.collectors import BaseCollector
 from torchrl.envs import EnvBase, ParallelEnv, SerialEnv
 from torchrl.envs.transforms import Transform
+from torchrl.modules import set_recurrent_mode
 from torchrl.modules.distributions.utils import has_analytic_entropy
 from torchrl.objectives import ClipPPOLoss, LossModule
 
@@ -198,27 +199,49 @@ class ExtensibleClipPPOLoss(ClipPPOLoss):
             setattr(self, f"target_{name}_params", None)
 
     def _run(self, name: str, key: NestedKey, tensordict: TensorDictBase, remedy: str) -> Tensor:
-        """Return ``key`` as a network writes it, run on its own inputs only: nothing that was recorded is overwritten.
+        """Return ``key`` as a network writes it; see :meth:`_run_all`."""
+        return self._run_all(name, tensordict, [key], remedy, losses=False)[0].get(key)
+
+    def _run_all(
+        self, name: str, tensordict: TensorDictBase, wanted: Sequence[NestedKey], remedy: str, losses: bool = True
+    ) -> tuple[TensorDictBase, dict[str, Tensor]]:
+        """Run a network on its own inputs only: nothing that was recorded is overwritten.
+
+        A network with a hidden state, which writes entries of ``next``, runs over sequences.
 
         Args:
             name: under which it was added.
-            key: of the entry.
             tensordict: holds its inputs.
-            remedy: what to do if it does not write the entry.
+            wanted: entries that it must write.
+            remedy: what to do if it does not.
+            losses: whether to compute the network's own losses, if it has ``estimate_and_losses``.
+
+        Returns:
+            Its outputs, and those losses by name.
 
         Raises:
-            KeyError: if an input is missing, or it does not write the entry.
+            KeyError: if an input is missing, or it does not write an entry.
+            ValueError: if it has a hidden state, and the data are no sequences.
         """
         network = getattr(self, name)
+        own = losses and hasattr(network, "estimate_and_losses")
         try:
-            inputs = tensordict.select(*network.in_keys)
+            inputs = tensordict.select(*network.in_keys, *(network.loss_in_keys if own else ()))
         except KeyError as error:
             raise KeyError(f"{name} reads {network.in_keys}, not all of which are in the data: keep them") from error
-        with self._parameters_of(name):
-            out = network(inputs).get(key, None)
-        if out is None:
-            raise KeyError(f"{name} did not write {key!r}; it writes {network.out_keys}. {remedy}")
-        return out
+        recurrent = any(isinstance(key, tuple) and key[0] == "next" for key in network.out_keys)
+        if recurrent and tensordict.ndim < 2:
+            raise ValueError(
+                f"{name} has a hidden state, and the data are {tuple(tensordict.shape)}: give it sequences of steps in "
+                "their order, (n, T), not shuffled steps"
+            )
+        over_time = set_recurrent_mode(True) if recurrent else contextlib.nullcontext()
+        with self._parameters_of(name), over_time:
+            out, terms = network.estimate_and_losses(inputs) if own else (network(inputs), {})
+        for key in wanted:
+            if out.get(key, None) is None:
+                raise KeyError(f"{name} did not write {key!r}; it writes {network.out_keys}. {remedy}")
+        return out, terms
 
     def _parameters_of(self, name: str) -> AbstractContextManager[Any]:
         """Return a context in which a network has its parameters, which a functional loss holds apart from it."""

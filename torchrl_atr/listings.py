@@ -57,13 +57,13 @@ def transporters() -> Iterator[str]:
 def estimators() -> Iterator[str]:
     """Yield the registered estimators: factory, number of parameters by default, first line of the docstring."""
     from torchrl_atr.modules import EstimatorError, available_estimators, get_estimator
-    from torchrl_atr.modules.estimators import build_estimator
+    from torchrl_atr.modules.estimators import EstimatorSpec, build_estimator
 
     rows = [["estimator", "made by", "parameters", "what it is"]]
-    for name in available_estimators():
+    for name in sorted(available_estimators()):
         factory = get_estimator(name)
         try:
-            net = build_estimator(factory, history_shape=_HISTORY, out_features=_ESTIMATE)
+            net = build_estimator(factory, EstimatorSpec("extrinsic", _HISTORY, {"extrinsic": _ESTIMATE}))
             size = sum(parameter.numel() for parameter in net.parameters())
             figures = [f"{size:,}", _summary(_made_by(factory, net))]
         except (EstimatorError, ValueError) as error:  # a parameter without a shape yet

@@ -64,7 +64,7 @@ def test_registry():
     assert register_estimator("test_called", Decorated) is Decorated
     assert {"test_decorated", "test_called", "cnn_gru", "mlp"} <= set(available_estimators())
     with pytest.raises(ValueError, match=r"cnn_gru.*register_estimator"):
-        get_estimator("transformer")
+        get_estimator("oracle")
     with pytest.raises(ValueError, match="cnn_gru"):
         register_estimator("cnn_gru", Decorated)
     with pytest.raises(ValueError, match="non-empty string"):

@@ -10,7 +10,7 @@ from torch import nn
 
 from torchrl_atr.cli import main
 from torchrl_atr.modules.checks import check_registered
-from torchrl_atr.modules.estimators import _ESTIMATORS
+from torchrl_atr.modules.estimators import _ESTIMATORS, EstimatorSpec
 from torchrl_atr.training import CheckpointError, Trainer, load_run, make_config
 
 SETTINGS = {
@@ -171,17 +171,21 @@ def test_refused_before_anything_is_written(refused, registered, tmp_path, tiny,
     assert not (tmp_path / "run").exists()
 
 
+def of(features):
+    return EstimatorSpec("extrinsic", (10, features), {"extrinsic": 16})
+
+
 def test_the_check_is_quick():
-    check_registered("mlp", [((10, 46), 16)])
+    check_registered("mlp", [of(46)])
     begun = time.process_time()  # not what other processes take
-    check_registered("cnn_gru", [((10, 46), 16), ((10, 49), 16)])
+    check_registered("cnn_gru", [of(46), of(49)])
     assert time.process_time() - begun < 1.0
 
 
 def test_the_check_draws_no_random_number(registered, tmp_path):
     registered(Plain)
     state = torch.get_rng_state()
-    check_registered("mine", [((10, 46), 16)])
+    check_registered("mine", [of(46)])
     assert torch.equal(torch.get_rng_state(), state)
 
 
@@ -222,7 +226,7 @@ def test_what_each_estimator_is_is_listed(registered, capsys, tmp_path):
     _ESTIMATORS._entries["broken"] = RaisesWhenMade
     assert main(["list", "estimators"]) == 0
     rows = {line.split()[0]: line for line in capsys.readouterr().out.splitlines() if line}
-    assert "torchrl_atr.modules.estimators.CNNGRUEstimator" in rows["cnn_gru"]
+    assert "torchrl_atr.modules.estimators.window.CNNGRUEstimator" in rows["cnn_gru"]
     name = "tests.wrong_inputs.test_estimators.Plain"
     assert rows["mine"].split(maxsplit=3)[1:] == [name, "752", "The newest observation through one layer."]
     assert "<lambda>" in rows["unnamed"]

@@ -14,6 +14,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import step_mdp
 
 from torchrl_atr.evaluation.access import achieved_speeds, command_owner, deterministic
+from torchrl_atr.modules.estimators import with_state
 from torchrl_atr.modules.keys import NetworkKeys
 
 MAX_ROBOTS = 1024
@@ -86,6 +87,7 @@ def ride(
     Raises:
         TypeError: if the env cannot pin commands, or has no achieved speeds.
     """
+    env = with_state(env, policy)
     owner, action, lasts = command_owner(env), (keys or NetworkKeys()).action, command_steps or total
     up = torch.ones(commands.shape[1], dtype=torch.bool)
     owner.pin(commands[0])

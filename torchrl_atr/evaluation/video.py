@@ -19,6 +19,7 @@ from torchrl_atr._interrupt import signals_held
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import achieved_speeds, command_limits, command_owner, deterministic
 from torchrl_atr.evaluation.rendering import CHASE, OffscreenRenderer
+from torchrl_atr.modules.estimators import with_state
 
 Command = tuple[float, float, float]
 DEFAULT_RIDE: tuple[Command, ...] = (
@@ -120,6 +121,7 @@ def ride(
 
     A robot that falls is reset, so that the next yield shows it standing again.
     """
+    env = with_state(env, policy)
     owner, command = command_owner(env), command_at(commands, 0.0)
     owner.pin(command)
     try:

@@ -4,6 +4,7 @@ The encoder, the estimators (a registry and a conformance check), the actor, its
 critic, and :func:`make_networks`, which builds them all from an env's specs.
 """
 
+from torchrl_atr.modules.act_scale import ActScale
 from torchrl_atr.modules.act_source import ACT_SOURCES, ActSource, ActSourceName, AssignActSource
 from torchrl_atr.modules.action_noise import CorrelatedGaussian, RotatedNormal, with_correlated_noise
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
@@ -13,12 +14,17 @@ from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.encoder import IntrinsicEncoder
 from torchrl_atr.modules.estimators import (
     CNNGRUEstimator,
+    EstimateHead,
     EstimatorError,
+    EstimatorModule,
+    EstimatorSpec,
     MLPEstimator,
     NormalizedEstimator,
+    WindowFeatures,
     available_estimators,
     get_estimator,
     register_estimator,
+    with_state,
 )
 from torchrl_atr.modules.exploration import Exploration, hadamard_leg_basis
 from torchrl_atr.modules.keys import NetworkKeys
@@ -31,6 +37,7 @@ from torchrl_atr.modules.symmetry import EquivariantLinear, equivariant_mlp
 __all__ = [
     "ACT_SOURCES",
     "COMMAND_RANGE_FILE",
+    "ActScale",
     "ActSource",
     "ActSourceName",
     "ActorBackbone",
@@ -42,7 +49,10 @@ __all__ = [
     "CorrelatedGaussian",
     "DeviceBridge",
     "EquivariantLinear",
+    "EstimateHead",
     "EstimatorError",
+    "EstimatorModule",
+    "EstimatorSpec",
     "Exploration",
     "IntrinsicEncoder",
     "MLPEstimator",
@@ -51,6 +61,7 @@ __all__ = [
     "ROANetworks",
     "RotatedNormal",
     "RunningNormalizer",
+    "WindowFeatures",
     "available_estimators",
     "check_estimator",
     "equivariant_mlp",
@@ -60,4 +71,5 @@ __all__ = [
     "make_networks",
     "register_estimator",
     "with_correlated_noise",
+    "with_state",
 ]

@@ -42,6 +42,8 @@ class ActorBackbone(nn.Module):
             of the last layer, so row i is the direction, in units of the action, in which output i moves it, and its
             length is that output's gain. It decides how fast a direction is learned, since Adam's steps are alike in
             all outputs. None, the default, is the identity.
+        reads_scale (bool): whether it also reads the standard deviations of latent and extrinsic state. Defaults to
+            False.
 
     Raises:
         ValueError: for a product of entries that the observation does not have, for an output map of another size or
@@ -69,6 +71,7 @@ class ActorBackbone(nn.Module):
         input_products: Sequence[tuple[int, int]] = (),
         reflection: Tensor | None = None,
         output_map: Tensor | None = None,
+        reads_scale: bool = False,
     ) -> None:
         super().__init__()
         size = observation_norm.shape.numel()
@@ -81,7 +84,9 @@ class ActorBackbone(nn.Module):
         self.register_buffer("output_map", output_map)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
-        in_features = size + len(input_products) + latent_features + extrinsic_norm.shape.numel()
+        self.reads_scale = reads_scale
+        estimated = latent_features + extrinsic_norm.shape.numel()
+        in_features = size + len(input_products) + (2 if reads_scale else 1) * estimated
         reflections = None
         if reflection is not None:
             mirror = check_reflection(reflection, action_features, "the action's reflection")
@@ -93,13 +98,22 @@ class ActorBackbone(nn.Module):
         observation = join_reflections(self.observation_norm.reflection)
         signs = observation.diagonal()
         products = torch.diag(signs[self._gates] * signs[self._gated])
-        return join_reflections(observation, products, halves_swapped(latent_features), self.extrinsic_norm.reflection)
+        estimated = join_reflections(halves_swapped(latent_features), self.extrinsic_norm.reflection)
+        scales = [estimated.abs()] * self.reads_scale  # standard deviations change places, never signs
+        return join_reflections(observation, products, estimated, *scales)
 
-    def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor) -> Tensor:
-        """Return the mean action (*B, A) from (*B, O), (*B, L) and (*B, E), raw, in SI units."""
+    def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor, *scales: Tensor) -> Tensor:
+        """Return the mean action (*B, A) from (*B, O), (*B, L) and (*B, E), raw, in SI units.
+
+        With ``reads_scale`` the standard deviations of latent and extrinsic state follow, in the same units.
+        """
         x = self.observation_norm(observation)
         products = PRODUCT_SCALE * x[..., self._gates].tanh() * x[..., self._gated]
-        outputs = self.net(torch.cat((x, products, intrinsic, self.extrinsic_norm(extrinsic)), -1))
+        read = [x, products, intrinsic, self.extrinsic_norm(extrinsic)]
+        if self.reads_scale:
+            intrinsic_scale, extrinsic_scale = scales
+            read += [intrinsic_scale, extrinsic_scale / self.extrinsic_norm.std]
+        outputs = self.net(torch.cat(read, -1))
         return outputs if self.output_map is None else outputs @ self.output_map
 
 
@@ -132,6 +146,7 @@ def make_actor(
     observation: NestedKey = NetworkKeys.observation,
     act_intrinsic: NestedKey = NetworkKeys.act_intrinsic,
     act_extrinsic: NestedKey = NetworkKeys.act_extrinsic,
+    act_scales: Sequence[NestedKey] = (),
     action: NestedKey = NetworkKeys.action,
 ) -> ProbabilisticActor:
     """Put modules that produce the act entries before a backbone and sample an action after it.
@@ -143,6 +158,7 @@ def make_actor(
         observation (NestedKey): read by the backbone.
         act_intrinsic (NestedKey): read by the backbone, written by the front.
         act_extrinsic (NestedKey): the same.
+        act_scales (sequence of NestedKey): standard deviations of both, for a backbone that reads them.
         action (NestedKey): the output, with ``<action>_log_prob`` beside it.
 
     Returns:
@@ -154,7 +170,9 @@ def make_actor(
         >>> make_actor(backbone, Exploration(2)).in_keys
         ['observation', ('act', 'intrinsic'), ('act', 'extrinsic')]
     """
-    mean = TensorDictModule(backbone, in_keys=[observation, act_intrinsic, act_extrinsic], out_keys=["loc"])
+    mean = TensorDictModule(
+        backbone, in_keys=[observation, act_intrinsic, act_extrinsic, *act_scales], out_keys=["loc"]
+    )
     spread = TensorDictModule(exploration, in_keys=["loc"], out_keys=["scale"])
     return ProbabilisticActor(
         TensorDictSequential(*front, mean, spread),

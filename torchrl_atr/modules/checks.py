@@ -7,17 +7,29 @@ from copy import deepcopy
 from typing import Any
 
 import torch
+from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torch.nn.parameter import is_lazy
 
 from torchrl_atr._errors import first_line
-from torchrl_atr.modules.estimators import EstimatorError, EstimatorFactory, build_estimator, get_estimator
+from torchrl_atr.modules.estimators import (
+    EstimatorError,
+    EstimatorFactory,
+    EstimatorSpec,
+    Role,
+    build_estimator,
+    failure,
+    get_estimator,
+    require,
+)
+from torchrl_atr.modules.tensordict_checks import check_module
 
 
 def check_estimator(
     factory: EstimatorFactory,
     history_shape: tuple[int, int] = (10, 46),
     out_features: int = 16,
+    role: Role = "extrinsic",
     **kwargs: Any,
 ) -> None:
     """Check that an estimator meets the requirements of policies, losses and exports.
@@ -28,10 +40,16 @@ def check_estimator(
     second does not depend on the first; a ``state_dict`` round trip gives the same outputs; a
     ``copy.deepcopy`` uses its own weights, as the exponential moving average that is deployed does.
 
+    Of one that takes a ``spec`` it also checks that it declares what it reads and writes; that a hidden state gives the
+    same estimates over sequences as step by step, and is forgotten where an episode begins; that its own losses are one
+    finite number for each sample; that standard deviations are positive.
+
     Args:
-        factory (callable): ``factory(history_shape=(H, D), out_features, **kwargs) -> nn.Module``.
+        factory (callable): ``factory(history_shape=(H, D), out_features, **kwargs) -> nn.Module`` or
+            ``factory(spec, **kwargs) -> TensorDictModuleBase``.
         history_shape (tuple of int): ``(H, D)``. Defaults to ``(10, 46)``.
-        out_features (int): size of the estimate. Defaults to 16.
+        out_features (int): size of each estimate. Defaults to 16.
+        role (str): ``intrinsic``, ``extrinsic`` or ``both``. Defaults to ``extrinsic``.
         **kwargs: passed to the factory.
 
     Raises:
@@ -42,27 +60,45 @@ def check_estimator(
         >>> from torchrl_atr.modules import CNNGRUEstimator
         >>> check_estimator(CNNGRUEstimator, history_shape=(5, 7), out_features=3)
     """
+    targets = ["intrinsic", "extrinsic"] if role == "both" else [role]
+    check_for(factory, EstimatorSpec(role, history_shape, dict.fromkeys(targets, out_features)), **kwargs)
+
+
+def check_for(factory: EstimatorFactory, spec: EstimatorSpec, **kwargs: Any) -> None:
+    """Run :func:`check_estimator` for a role and sizes.
+
+    Args:
+        factory (callable): of the estimator.
+        spec (EstimatorSpec): role and sizes.
+        **kwargs: passed to the factory.
+
+    Raises:
+        EstimatorError: naming the property that fails.
+    """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        build = dict(history_shape=history_shape, out_features=out_features, **kwargs)
-        net, twin = build_estimator(factory, **build), build_estimator(factory, **build)
+        net, twin = (build_estimator(factory, spec, **kwargs) for _ in range(2))
         try:
-            _check_all(net, twin, history_shape, out_features)
+            _require_shapes(net)
+            if isinstance(net, TensorDictModuleBase) and isinstance(twin, TensorDictModuleBase):
+                check_module(net, twin, spec)
+            else:
+                _check_all(net, twin, spec.window_shape, spec.out_features)
         except EstimatorError:
             raise
         except Exception as error:  # of the user's own code
-            raise _failure(
+            raise failure(
                 "run",
                 f"it raised {type(error).__name__}: {first_line(error)}. Correct its forward pass.",
             ) from error
 
 
-def check_registered(name: str, sizes: Iterable[tuple[tuple[int, int], int]], **kwargs: Any) -> None:
-    """Run :func:`check_estimator` on a registered estimator in the sizes of its uses.
+def check_registered(name: str, specs: Iterable[EstimatorSpec], **kwargs: Any) -> None:
+    """Run :func:`check_estimator` on a registered estimator for its uses.
 
     Args:
         name (str): as registered.
-        sizes (iterable): ``(history_shape, out_features)`` of each use.
+        specs (iterable of EstimatorSpec): role and sizes of each use.
         **kwargs: passed to the factory.
 
     Raises:
@@ -70,19 +106,22 @@ def check_registered(name: str, sizes: Iterable[tuple[tuple[int, int], int]], **
         EstimatorError: naming the estimator and the property that fails.
 
     Example:
-        >>> check_registered("mlp", [((10, 46), 16), ((10, 49), 16)])
+        >>> check_registered("mlp", [EstimatorSpec("intrinsic", (10, 46), {"intrinsic": 16})])
     """
     factory = get_estimator(name)
-    for history_shape, out_features in sizes:
+    for spec in specs:
         try:
-            check_estimator(factory, history_shape, out_features, **kwargs)
+            check_for(factory, spec, **kwargs)
         except EstimatorError as error:
             raise EstimatorError(f"estimator {name!r} cannot be trained. {error}") from error
 
 
-def _check_all(net: nn.Module, twin: nn.Module, history_shape: tuple[int, int], out_features: int) -> None:
+def _require_shapes(net: nn.Module) -> None:
     lazy = [name for name, parameter in net.named_parameters() if is_lazy(parameter)]
-    _require(not lazy, "module", f"{', '.join(lazy[:2])} has no shape until it is used; give all sizes in the factory.")
+    require(not lazy, "module", f"{', '.join(lazy[:2])} has no shape until it is used; give all sizes in the factory.")
+
+
+def _check_all(net: nn.Module, twin: nn.Module, history_shape: tuple[int, int], out_features: int) -> None:
     net.eval()
     twin.eval()
     _check_outputs(net, history_shape, out_features)
@@ -94,39 +133,30 @@ def _check_all(net: nn.Module, twin: nn.Module, history_shape: tuple[int, int], 
     _check_copy(net, history)
 
 
-def _failure(name: str, remedy: str) -> EstimatorError:
-    return EstimatorError(f"Estimator check {name!r} failed: {remedy}")
-
-
-def _require(condition: bool, name: str, remedy: str) -> None:
-    if not condition:
-        raise _failure(name, remedy)
-
-
 def _check_outputs(net: nn.Module, history_shape: tuple[int, int], out_features: int) -> None:
     for batch in ((), (3,), (2, 3)):
         history = torch.randn(*batch, *history_shape)
         try:
             out = net(history)
         except Exception as error:
-            raise _failure(
+            raise failure(
                 "leading dimensions",
                 f"a history of shape {tuple(history.shape)} raised {type(error).__name__}: {first_line(error)}. Accept "
                 "any number of leading dimensions (flatten them, restore them on the output).",
             ) from error
-        _require(isinstance(out, Tensor), "output", f"forward returned a {type(out).__name__}; return one Tensor.")
+        require(isinstance(out, Tensor), "output", f"forward returned a {type(out).__name__}; return one Tensor.")
         expected = (*batch, out_features)
-        _require(
+        require(
             tuple(out.shape) == expected,
             "shape",
             f"a history of shape {tuple(history.shape)} gave {tuple(out.shape)}; return {expected}.",
         )
-        _require(
+        require(
             out.dtype == history.dtype,
             "dtype",
             f"{history.dtype} in, {out.dtype} out; keep the dtype of the input.",
         )
-        _require(bool(out.isfinite().all()), "finite", "a standard normal history gave a non-finite output.")
+        require(bool(out.isfinite().all()), "finite", "a standard normal history gave a non-finite output.")
 
 
 def _check_behaviour(net: nn.Module, history: Tensor) -> None:
@@ -134,24 +164,24 @@ def _check_behaviour(net: nn.Module, history: Tensor) -> None:
     try:
         out = net(history)
     except Exception as error:  # another batch with the same number of dimensions has passed
-        raise _failure(
+        raise failure(
             "deterministic",
             f"after other batches a history of shape {tuple(history.shape)} raised {type(error).__name__}: "
             f"{first_line(error)}. Keep no state between calls, and count on no size of the batch.",
         ) from error
-    _require(
+    require(
         torch.equal(history, before),
         "input unchanged",
         "forward modified its input in place; work on a copy.",
     )
-    _require(
+    require(
         torch.equal(net(history), out),
         "deterministic",
         "two calls in eval mode differ; keep no state between calls and no noise in eval mode.",
     )
     changed = history.clone()
     changed[1:] = torch.randn_like(changed[1:])
-    _require(
+    require(
         torch.allclose(net(changed)[0], out[0], rtol=1e-4, atol=1e-5),
         "independent rows",
         "a row's output depends on other rows; normalise over features, not over the batch.",
@@ -161,7 +191,7 @@ def _check_behaviour(net: nn.Module, history: Tensor) -> None:
 def _check_gradients(net: nn.Module, history: Tensor) -> None:
     net.zero_grad()
     out = net(history)
-    _require(
+    require(
         out.requires_grad,
         "gradients",
         "the output carries no gradient; do not detach or run under no_grad, and have a trainable parameter.",
@@ -172,13 +202,13 @@ def _check_gradients(net: nn.Module, history: Tensor) -> None:
         for name, parameter in net.named_parameters()
         if parameter.requires_grad and (parameter.grad is None or not parameter.grad.isfinite().all())
     ]
-    _require(
+    require(
         not dead,
         "gradients",
         f"no finite gradient reaches {', '.join(dead)}; use these parameters or remove them.",
     )
     trainable = [parameter.grad for parameter in net.parameters() if parameter.requires_grad]
-    _require(
+    require(
         any(bool(grad.abs().sum() > 0) for grad in trainable if grad is not None),
         "gradients",
         "no parameter gets a non-zero gradient; do not detach or run under no_grad.",
@@ -197,12 +227,12 @@ def _check_training(net: nn.Module, history: Tensor) -> None:
         try:
             outputs[-1].square().sum().backward()
         except RuntimeError as error:
-            raise _failure(
+            raise failure(
                 "training",
                 f"the backward pass of step {len(outputs)} raised {type(error).__name__}: {first_line(error)}. Keep no "
                 "state between calls, and modify nothing in place that a gradient needs.",
             ) from error
-    _require(
+    require(
         torch.allclose(outputs[0], outputs[1], rtol=1e-4, atol=1e-5),
         "training",
         "two calls in training mode with the same input and random seed differ; keep no state between calls.",
@@ -214,7 +244,7 @@ def _check_training(net: nn.Module, history: Tensor) -> None:
 
 def _check_state_dict(net: nn.Module, twin: nn.Module, history: Tensor) -> None:
     twin.load_state_dict(net.state_dict())
-    _require(
+    require(
         torch.equal(twin(history), net(history)),
         "state_dict",
         "a second instance with the same state_dict gives other outputs; register all state as parameters or buffers.",
@@ -226,7 +256,7 @@ def _check_copy(net: nn.Module, history: Tensor) -> None:
     try:
         copied = deepcopy(net)
     except Exception as error:
-        raise _failure(
+        raise failure(
             "copy",
             f"copy.deepcopy raised {type(error).__name__}: {first_line(error)}. Keep nothing that cannot be "
             "copied, such as outputs of an earlier call with their graph.",
@@ -234,7 +264,7 @@ def _check_copy(net: nn.Module, history: Tensor) -> None:
     with torch.no_grad():
         for parameter in copied.parameters():
             parameter.add_(1.0)
-    _require(
+    require(
         torch.equal(net(history), out) and not torch.equal(copied(history), out),
         "copy",
         "a copy.deepcopy computes with the weights of the original; reach them through self alone.",

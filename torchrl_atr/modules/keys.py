@@ -13,7 +13,7 @@ class NetworkKeys:
 
     ``dead_reckoned_velocity`` and ``tracking_forecast`` (predicted tracking) are read only if they are inputs in
     :func:`~torchrl_atr.modules.make_networks`: ``estimator_inputs=[keys.dead_reckoned_velocity]`` and
-    ``critic_inputs=[keys.tracking_forecast]``.
+    ``critic_inputs=[keys.tracking_forecast]``. Scales are the standard deviations of estimates that have one.
 
     Example:
         >>> NetworkKeys(observation=("agent", "obs")).observation
@@ -29,8 +29,12 @@ class NetworkKeys:
     latent: NestedKey = ("latent", "intrinsic")
     intrinsic_estimate: NestedKey = ("estimate", "intrinsic")
     extrinsic_estimate: NestedKey = ("estimate", "extrinsic")
+    intrinsic_scale: NestedKey = ("estimate", "intrinsic_scale")
+    extrinsic_scale: NestedKey = ("estimate", "extrinsic_scale")
     act_intrinsic: NestedKey = ("act", "intrinsic")
     act_extrinsic: NestedKey = ("act", "extrinsic")
+    act_intrinsic_scale: NestedKey = ("act", "intrinsic_scale")
+    act_extrinsic_scale: NestedKey = ("act", "extrinsic_scale")
     student: NestedKey = ("act", "student")
     action: NestedKey = "action"
     state_value: NestedKey = "state_value"
@@ -47,6 +51,8 @@ class NetworkKeys:
             "latent_estimate": self.intrinsic_estimate,
             "extrinsic": self.extrinsic,
             "extrinsic_estimate": self.extrinsic_estimate,
+            "latent_estimate_scale": self.intrinsic_scale,
+            "extrinsic_estimate_scale": self.extrinsic_scale,
             "action": self.action,
             "value": self.state_value,
         }

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import torch
 from tensordict import NestedKey
-from torch import Tensor
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec
 
 from torchrl_atr._checks import check_flag, check_kind, check_whole
@@ -16,12 +17,20 @@ from torchrl_atr.modules.actor import ActorBackbone
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.dtype import default_dtype
 from torchrl_atr.modules.encoder import IntrinsicEncoder
-from torchrl_atr.modules.estimators import NormalizedEstimator, build_estimator, get_estimator
+from torchrl_atr.modules.estimators import (
+    EstimatorError,
+    EstimatorModule,
+    EstimatorSpec,
+    NormalizedEstimator,
+    WindowModule,
+    build_estimator,
+    get_estimator,
+)
 from torchrl_atr.modules.exploration import Exploration
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.networks import ROANetworks
 from torchrl_atr.modules.normalization import RunningNormalizer
-from torchrl_atr.modules.sizes import check_widths, entry, entry_shape, estimator_sizes, input_sizes
+from torchrl_atr.modules.sizes import check_widths, entry, entry_shape, estimator_specs, input_sizes
 
 
 def make_networks(
@@ -31,6 +40,8 @@ def make_networks(
     estimator: str = "cnn_gru",
     estimator_kwargs: Mapping[str, Any] | None = None,
     estimator_inputs: Sequence[NestedKey] = (),
+    shared_estimator: bool = False,
+    actor_reads_scale: bool = False,
     latent_features: int = 16,
     encoder_cells: Sequence[int] = (128, 64),
     actor_cells: Sequence[int] = (512, 256, 128),
@@ -54,6 +65,9 @@ def make_networks(
         estimator_kwargs (mapping, optional): passed to the estimator's factory.
         estimator_inputs (sequence of NestedKey): entries that the extrinsic estimator reads beside the history, such as
             ``["dead_reckoned_velocity"]``. The deployed policy reads them too. Defaults to none.
+        shared_estimator (bool): whether one estimator has both roles. Defaults to False: one for each.
+        actor_reads_scale (bool): whether the actor also reads the estimates' standard deviations, which the estimator
+            must then write, and zeros for what is privileged. Defaults to False.
         latent_features (int): size of z. Defaults to 16.
         encoder_cells (sequence of int): hidden widths of the encoder.
         actor_cells (sequence of int): hidden widths of the actor.
@@ -77,7 +91,7 @@ def make_networks(
     Raises:
         KeyError: if a spec or the reflections lack an entry. ValueError: if the history does not match the
             observation, the estimator is unknown, the exploration is of another number of actions, or a reflection is
-            invalid. EstimatorError: if the estimator's factory fails.
+            invalid. EstimatorError: if the estimator's factory fails, or it lacks the scales that the actor is to read.
 
     Example:
         >>> from torchrl.data import Composite, Unbounded
@@ -94,6 +108,8 @@ def make_networks(
     check_whole("latent_features", latent_features, low=1)
     check_widths(actor_cells=actor_cells, critic_cells=critic_cells, encoder_cells=encoder_cells)
     check_flag("privileged_critic", privileged_critic)
+    check_flag("shared_estimator", shared_estimator)
+    check_flag("actor_reads_scale", actor_reads_scale)
     check_kind("estimator_kwargs", estimator_kwargs, Mapping, "a mapping of arguments", optional=True)
     check_kind("exploration", exploration, Exploration, "Exploration(actions, ...)", optional=True)
     check_kind("output_map", output_map, Tensor, "a matrix", optional=True)
@@ -102,8 +118,8 @@ def make_networks(
     keys = keys or NetworkKeys()
     obs, intrinsic, extrinsic = _observation_sizes(observation_spec, keys)
     (actions,) = entry_shape(action_spec, keys.action, 1)
-    make_estimator = partial(build_estimator, get_estimator(estimator), **dict(estimator_kwargs or {}))
-    sizes = estimator_sizes(observation_spec, latent_features, keys, estimator_inputs)
+    factory, options = get_estimator(estimator), dict(estimator_kwargs or {})
+    specs = estimator_specs(observation_spec, latent_features, keys, estimator_inputs, shared_estimator)
     mirror = partial(_reflection, reflections)
     with default_dtype(entry(observation_spec, keys.observation).dtype):
         side_norms = _norms(observation_spec, "estimator_inputs", estimator_inputs, mirror)
@@ -111,9 +127,21 @@ def make_networks(
         obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
         ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
         encoder = IntrinsicEncoder(intrinsic, latent_features, encoder_cells, mirror(keys.intrinsic))
-        nets = {name: make_estimator(history_shape=shape, out_features=out) for name, (shape, out) in sizes.items()}
+        norms = obs_norm, ext_norm, dict(zip(estimator_inputs, side_norms))
+        nets = {role: build_estimator(factory, each, **options) for role, each in specs.items()}
+        estimators = {role: _normalized(nets[role], each, *norms) for role, each in specs.items()}
+        if actor_reads_scale:
+            _check_scales(estimator, estimators.values())
         backbone = ActorBackbone(
-            obs_norm, ext_norm, latent_features, actions, actor_cells, input_products, mirror(keys.action), output_map
+            obs_norm,
+            ext_norm,
+            latent_features,
+            actions,
+            actor_cells,
+            input_products,
+            mirror(keys.action),
+            output_map,
+            actor_reads_scale,
         )
         critic = AsymmetricCritic(
             obs_norm,
@@ -127,8 +155,8 @@ def make_networks(
             obs_norm=obs_norm,
             ext_norm=ext_norm,
             encoder=encoder,
-            intrinsic_estimator=NormalizedEstimator(nets["intrinsic"], obs_norm),
-            extrinsic_estimator=NormalizedEstimator(nets["extrinsic"], obs_norm, ext_norm, side_norms),
+            intrinsic_estimator=estimators["both" if shared_estimator else "intrinsic"],
+            extrinsic_estimator=estimators["both" if shared_estimator else "extrinsic"],
             backbone=backbone,
             exploration=_exploration_of(actions, exploration),
             critic=critic,
@@ -158,6 +186,30 @@ def _norms(
     """Return a normaliser for each entry that an argument names."""
     sizes = input_sizes(spec, argument, inputs)
     return [RunningNormalizer(size, reflection=mirror(key)) for key, size in zip(inputs, sizes)]
+
+
+def _normalized(
+    net: nn.Module,
+    spec: EstimatorSpec,
+    obs_norm: RunningNormalizer,
+    ext_norm: RunningNormalizer,
+    side_norms: Mapping[NestedKey, RunningNormalizer],
+) -> NormalizedEstimator | EstimatorModule:
+    """Return an estimator between the normalisers of what it reads and estimates."""
+    side = {key: side_norms[key] for key in spec.inputs}
+    if isinstance(net, TensorDictModuleBase):
+        return EstimatorModule(net, spec, obs_norm, ext_norm, side)
+    if spec.role == "both":
+        return EstimatorModule(WindowModule(net, spec), spec, obs_norm, ext_norm, side)
+    return NormalizedEstimator(net, obs_norm, ext_norm if spec.role == "extrinsic" else None, list(side.values()))
+
+
+def _check_scales(name: str, estimators: Iterable[nn.Module]) -> None:
+    if not all(isinstance(each, EstimatorModule) and each.writes_scale for each in estimators):
+        raise EstimatorError(
+            f"actor_reads_scale=True, and the estimator {name!r} estimates no standard deviations; take one that does, "
+            "such as 'gaussian', or leave it False"
+        )
 
 
 def _exploration_of(actions: int, given: Exploration | None) -> Exploration:

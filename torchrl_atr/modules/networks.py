@@ -11,11 +11,12 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
+from torchrl_atr.modules.act_scale import ActScale
 from torchrl_atr.modules.act_source import ActSource, ActSourceName, AssignActSource, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.command_range import CommandClippedPolicy, CommandRange
 from torchrl_atr.modules.critic import AsymmetricCritic
-from torchrl_atr.modules.estimators import NormalizedEstimator
+from torchrl_atr.modules.estimators import EstimatorModule, NormalizedEstimator, state_keys
 from torchrl_atr.modules.exploration import Exploration
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
@@ -30,7 +31,8 @@ class ROANetworks(nn.Module):
     Args:
         obs_norm, ext_norm (RunningNormalizer): of the observation and of the extrinsic state (SI units).
         encoder (nn.Module): intrinsic parameters to latent.
-        intrinsic_estimator, extrinsic_estimator (NormalizedEstimator): history to latent, to extrinsic state.
+        intrinsic_estimator, extrinsic_estimator (NormalizedEstimator or EstimatorModule): of the latent, of the
+            extrinsic state; an :class:`EstimatorModule` of both may be given as both.
         backbone (ActorBackbone): the actor's mean action.
         exploration (Exploration): the actor's standard deviations.
         critic (AsymmetricCritic): the value.
@@ -58,8 +60,8 @@ class ROANetworks(nn.Module):
         obs_norm: RunningNormalizer,
         ext_norm: RunningNormalizer,
         encoder: nn.Module,
-        intrinsic_estimator: NormalizedEstimator,
-        extrinsic_estimator: NormalizedEstimator,
+        intrinsic_estimator: NormalizedEstimator | EstimatorModule,
+        extrinsic_estimator: NormalizedEstimator | EstimatorModule,
         backbone: ActorBackbone,
         exploration: Exploration,
         critic: AsymmetricCritic,
@@ -84,16 +86,26 @@ class ROANetworks(nn.Module):
         return TensorDictModule(self.encoder, in_keys=[self.keys.intrinsic], out_keys=[self.keys.latent])
 
     @property
-    def intrinsic_estimator_module(self) -> TensorDictModule:
-        """Intrinsic estimator: history (*B, H, D) to the estimated latent (*B, L)."""
+    def intrinsic_estimator_module(self) -> TensorDictModuleBase:
+        """Intrinsic estimator: history (*B, H, D), or what it declares, to the estimated latent (*B, L)."""
+        if isinstance(self.intrinsic_estimator, TensorDictModuleBase):
+            return self.intrinsic_estimator
         keys = self.keys
         return TensorDictModule(self.intrinsic_estimator, in_keys=[keys.history], out_keys=[keys.intrinsic_estimate])
 
     @property
-    def extrinsic_estimator_module(self) -> TensorDictModule:
+    def extrinsic_estimator_module(self) -> TensorDictModuleBase:
         """Extrinsic estimator: history (*B, H, D) and ``estimator_inputs`` to the extrinsic state (*B, E), SI units."""
+        if isinstance(self.extrinsic_estimator, TensorDictModuleBase):
+            return self.extrinsic_estimator
         in_keys = [self.keys.history, *self.estimator_inputs]
         return TensorDictModule(self.extrinsic_estimator, in_keys=in_keys, out_keys=[self.keys.extrinsic_estimate])
+
+    @property
+    def estimator_modules(self) -> list[TensorDictModuleBase]:
+        """Both estimators; the one that has both roles alone."""
+        shared = self.intrinsic_estimator is self.extrinsic_estimator
+        return [self.intrinsic_estimator_module, *[self.extrinsic_estimator_module] * (not shared)]
 
     @property
     def critic_module(self) -> ValueOperator:
@@ -117,14 +129,16 @@ class ROANetworks(nn.Module):
     def rollout_policy(self, source: ActSourceName = "privileged", student_fraction: float = 0.5) -> ProbabilisticActor:
         """Return the actor for collection; it computes and records the inputs of :meth:`training_actor`.
 
+        Estimators with a hidden state always run, since they are trained on the states that they have recorded.
+
         Args:
             source (str): ``privileged``, ``estimated`` or ``mixed``.
             student_fraction (float): with ``mixed``, the share of robots that act on the estimates.
         """
         check_source(source)
-        estimators = [self.intrinsic_estimator_module, self.extrinsic_estimator_module]
+        estimators = self.estimator_modules
         if source == "privileged":
-            return self._actor(source, self.encoder_module)
+            return self._actor(source, self.encoder_module, *(each for each in estimators if state_keys(each)))
         if source == "estimated":
             return self._actor(source, *estimators)
         assign = AssignActSource(student_fraction, reference=self.keys.observation, student=self.keys.student)
@@ -172,7 +186,7 @@ class ROANetworks(nn.Module):
 
     def estimator_parameters(self) -> Iterator[nn.Parameter]:
         """Iterate over the parameters that the estimator losses train: both estimators."""
-        return chain(self.intrinsic_estimator.parameters(), self.extrinsic_estimator.parameters())
+        return chain.from_iterable(estimator.parameters() for estimator in self.estimator_modules)
 
     def _actor(self, source: ActSourceName, *front: Any) -> ProbabilisticActor:
         keys = self.keys
@@ -186,14 +200,28 @@ class ROANetworks(nn.Module):
             act_intrinsic=keys.act_intrinsic,
             act_extrinsic=keys.act_extrinsic,
         )
+        scales = self._scales(source) if self.backbone.reads_scale else []
         actor = make_actor(
             self.backbone,
             self.exploration,
             *front,
             act_source,
+            *scales,
             observation=keys.observation,
             act_intrinsic=keys.act_intrinsic,
             act_extrinsic=keys.act_extrinsic,
+            act_scales=[key for scale in scales for key in scale.out_keys],
             action=keys.action,
         )
         return actor if self.training else actor.eval()
+
+    def _scales(self, source: ActSourceName) -> list[ActScale]:
+        keys = self.keys
+        pairs = [
+            (keys.intrinsic_scale, keys.act_intrinsic, keys.act_intrinsic_scale),
+            (keys.extrinsic_scale, keys.act_extrinsic, keys.act_extrinsic_scale),
+        ]
+        return [
+            ActScale(source, scale=scale, chosen=chosen, student=keys.student, act_scale=act_scale)
+            for scale, chosen, act_scale in pairs
+        ]

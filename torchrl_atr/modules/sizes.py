@@ -9,6 +9,7 @@ from torchrl.data import Composite, TensorSpec
 
 from torchrl_atr._checks import check_keys, check_kind, check_whole
 from torchrl_atr._registry import nearest
+from torchrl_atr.modules.estimators import EstimatorSpec, Role
 from torchrl_atr.modules.keys import NetworkKeys
 
 
@@ -80,19 +81,21 @@ def input_sizes(spec: Composite, argument: str, inputs: Sequence[NestedKey]) -> 
     return [entry_shape(spec, key, 1)[0] for key in inputs]
 
 
-def estimator_sizes(
+def estimator_specs(
     observation_spec: Composite,
     latent_features: int = 16,
     keys: NetworkKeys | None = None,
     estimator_inputs: Sequence[NestedKey] = (),
-) -> dict[str, tuple[tuple[int, int], int]]:
-    """Return history shape and estimate size of the two estimators, by name, from an env's specs.
+    shared: bool = False,
+) -> dict[Role, EstimatorSpec]:
+    """Return what each estimator is told, by its role, from an env's specs.
 
     Args:
         observation_spec (Composite): see :func:`make_networks`.
         latent_features (int): size of z. Defaults to 16.
         keys (NetworkKeys, optional): names of the entries, if the env has its own.
-        estimator_inputs (sequence of NestedKey): inputs of the extrinsic one beside the history. Defaults to none.
+        estimator_inputs (sequence of NestedKey): further inputs of the one of the extrinsic state. Defaults to none.
+        shared (bool): whether one estimator has both roles. Defaults to False.
 
     Raises:
         KeyError: if the spec lacks an entry.
@@ -104,14 +107,20 @@ def estimator_sizes(
         ...     history=Unbounded((4, 5)),
         ...     privileged=Composite(extrinsic=Unbounded((3,))),
         ... )
-        >>> estimator_sizes(spec)
+        >>> {role: (each.window_shape, each.out_features) for role, each in estimator_specs(spec).items()}
         {'intrinsic': ((4, 5), 16), 'extrinsic': ((4, 5), 3)}
     """
     keys = keys or NetworkKeys()
     length, features = entry_shape(observation_spec, keys.history, 2)
     (extrinsic,) = entry_shape(observation_spec, keys.extrinsic, 1)
-    side = sum(input_sizes(observation_spec, "estimator_inputs", estimator_inputs))
-    return {"intrinsic": ((length, features), latent_features), "extrinsic": ((length, features + side), extrinsic)}
+    inputs = dict(zip(estimator_inputs, input_sizes(observation_spec, "estimator_inputs", estimator_inputs)))
+    sizes, window = {"intrinsic": latent_features, "extrinsic": extrinsic}, (length, features)
+    if shared:
+        return {"both": EstimatorSpec("both", window, sizes, inputs, keys)}
+    return {
+        "intrinsic": EstimatorSpec("intrinsic", window, {"intrinsic": latent_features}, {}, keys),
+        "extrinsic": EstimatorSpec("extrinsic", window, {"extrinsic": extrinsic}, inputs, keys),
+    }
 
 
 def check_widths(**cells: Sequence[int]) -> None:

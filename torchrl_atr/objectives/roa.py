@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torchrl.objectives import ClipPPOLoss
 
 from torchrl_atr._torchrl_private import ExtensibleClipPPOLoss
+from torchrl_atr.objectives.regression import check_scale, regression
 
 ADAPTATION_NETWORKS = ("encoder_network", "intrinsic_estimator_network", "extrinsic_estimator_network")
 _RENAME = "Give it that out_key, or rename it: loss.set_keys(latent=..., latent_estimate=..., extrinsic_estimate=...)."
@@ -32,25 +33,28 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
     ``loss_roa``            ``roa_coeff * ||sg[zhat] - z||^2``              encoder only
     ``loss_extrinsic``      ``extrinsic_coeff * ||(xhat - x) / std||^2``    extrinsic estimator only
     ``loss_smoothness``     ``smoothness_coeff * ||mu_t - mu_{t-1}||^2``    actor and encoder; only if asked for
+    ``loss_extrinsic_X``    an estimator's own loss ``X``                   that estimator only
     ======================  ==============================================  =========================
+
+    Estimators that write standard deviations are trained by likelihood; one with a hidden state needs sequences (n, T).
+    Its own losses, from ``estimate_and_losses`` as :class:`~torchrl_atr.modules.EstimatorModule` has it, are called
+    ``loss_intrinsic_X``, ``loss_extrinsic_X``, or ``loss_estimator_X`` if one network is both estimators.
 
     Three entry points: :meth:`forward` returns every term (what a TorchRL trainer sums);
     :meth:`policy_loss` the PPO terms and ``loss_roa``; :meth:`adaptation_loss` the two estimator terms.
     With the last two a recipe trains the estimators for its own number of epochs. Detached diagnostics:
     ``latent_error`` (RMS norm of zhat - z) and ``extrinsic_error`` (RMS over all components of the error in
-    units of std, so 1 is as good as the mean).
+    units of std, so 1 is as good as the mean); ``latent_calibration`` and ``extrinsic_calibration`` with scales.
 
     The encoder network must share its parameters with the encoder inside the actor: PPO and ``loss_roa``
-    then add up in it, and no parameter is listed twice. In :meth:`forward` and :meth:`policy_loss` the actor,
-    and the encoder inside it, run once: all terms read what that pass wrote.
+    then add up in it, and no parameter is listed twice. Every network runs once in a call: all terms read its pass.
 
     Args:
-        actor_network (ProbabilisticTensorDictSequential): the actor that is trained; it may contain the
-            encoder.
+        actor_network (ProbabilisticTensorDictSequential): the actor that is trained; it may contain the encoder.
         critic_network (TensorDictModule): the critic.
         encoder_network (TensorDictModule): writes the latent z, (*B, L).
         intrinsic_estimator_network (TensorDictModule): writes zhat, (*B, L).
-        extrinsic_estimator_network (TensorDictModule): writes xhat, (*B, E), in the units of its target.
+        extrinsic_estimator_network (TensorDictModule): writes xhat, (*B, E), in its target's units; may be the same.
 
     Keyword Args:
         roa_coeff (float): the paper's lambda. Defaults to 0.2.
@@ -99,6 +103,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
                 read.
             extrinsic (NestedKey): the true extrinsic state in the data.
             extrinsic_estimate (NestedKey): what the extrinsic estimator writes.
+            latent_estimate_scale, extrinsic_estimate_scale (NestedKey): standard deviations that estimators may write.
             previous_mean (NestedKey): the mean action of the step before, (*B, A).
         """
 
@@ -106,6 +111,8 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         latent_estimate: NestedKey = ("estimate", "intrinsic")
         extrinsic: NestedKey = ("privileged", "extrinsic")
         extrinsic_estimate: NestedKey = ("estimate", "extrinsic")
+        latent_estimate_scale: NestedKey = ("estimate", "intrinsic_scale")
+        extrinsic_estimate_scale: NestedKey = ("estimate", "extrinsic_scale")
         previous_mean: NestedKey = "previous_mean"
 
     default_keys = _AcceptedKeys
@@ -145,32 +152,21 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         **ppo_kwargs: Any,
     ) -> None:
         super().__init__(actor_network, critic_network, **ppo_kwargs)
-        networks = (encoder_network, intrinsic_estimator_network, extrinsic_estimator_network)
-        for name, network in zip(ADAPTATION_NETWORKS, networks):
+        networks = [encoder_network, intrinsic_estimator_network, extrinsic_estimator_network]
+        shared = extrinsic_estimator_network is intrinsic_estimator_network  # its parameters are listed once
+        for name, network in zip(ADAPTATION_NETWORKS, networks[: 2 if shared else 3]):
             self._add_network(name, network)
+        self._estimators = ADAPTATION_NETWORKS[1 : 2 if shared else 3]
         device = next(self.parameters()).device
-        coefficients = {
-            "roa_coeff": roa_coeff,
-            "intrinsic_coeff": intrinsic_coeff,
-            "extrinsic_coeff": extrinsic_coeff,
-            "smoothness_coeff": smoothness_coeff,
-        }
-        for name, value in coefficients.items():
+        values = roa_coeff, intrinsic_coeff, extrinsic_coeff, smoothness_coeff
+        for name, value in zip(("roa_coeff", "intrinsic_coeff", "extrinsic_coeff", "smoothness_coeff"), values):
             if value < 0:
                 raise ValueError(f"{name} must be >= 0, got {value}; 0 switches the term off.")
             self.register_coeff_buffer(name, float(value), device=device)
-        self._add_scale(extrinsic_scale)
+        self.extrinsic_norm, std = check_scale(extrinsic_scale)
+        self.register_buffer("extrinsic_std", std)
         self._smooth = smoothness_coeff > 0
         self._renew_keys()  # the parent's constructor listed them before these networks existed
-
-    def _add_scale(self, scale: Tensor | nn.Module | None) -> None:
-        std = scale.std if isinstance(scale, nn.Module) and hasattr(scale, "std") else scale
-        if std is not None and not isinstance(std, Tensor):
-            raise ValueError("extrinsic_scale must be a Tensor, a RunningNormalizer (a module with std) or None.")
-        if isinstance(scale, Tensor) and not bool((scale > 0).all()):
-            raise ValueError(f"extrinsic_scale must be positive, got {scale.tolist()}.")
-        self.extrinsic_norm = scale if isinstance(scale, nn.Module) else None
-        self.register_buffer("extrinsic_std", scale if isinstance(scale, Tensor) else None)
 
     @property
     def extrinsic_scale(self) -> Tensor | None:
@@ -179,9 +175,14 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
 
     def further_in_keys(self) -> list[NestedKey]:
         """Return the inputs of the adaptation networks, and their targets."""
-        networks = [getattr(self, name, None) for name in ADAPTATION_NETWORKS]
-        keys = [key for network in networks if network is not None for key in network.in_keys]
-        return [*keys, self.tensor_keys.extrinsic] + [self.tensor_keys.previous_mean] * getattr(self, "_smooth", False)
+        keys = [*self._adaptation_inputs(), self.tensor_keys.extrinsic]
+        return keys + [self.tensor_keys.previous_mean] * getattr(self, "_smooth", False)
+
+    def _adaptation_inputs(self) -> list[NestedKey]:
+        """Return what the adaptation networks read, and the estimators' own losses; nothing before there are any."""
+        found = (getattr(self, name, None) for name in ADAPTATION_NETWORKS)
+        networks = [network for network in found if network is not None]
+        return [key for network in networks for key in [*network.in_keys, *getattr(network, "loss_in_keys", ())]]
 
     def further_out_keys(self) -> list[NestedKey]:
         """Return the three regression terms, the two diagnostics, and ``loss_smoothness`` where it counts."""
@@ -200,17 +201,17 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
     @property
     def adaptation_in_keys(self) -> list[NestedKey]:
         """Entries that :meth:`adaptation_loss` reads; masks are optional."""
-        inputs = [key for name in ADAPTATION_NETWORKS for key in getattr(self, name).in_keys]
-        return [*inputs, self.tensor_keys.extrinsic, *self._mask_keys]
+        return [*self._adaptation_inputs(), self.tensor_keys.extrinsic, *self._mask_keys]
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return every term: PPO, ``loss_roa`` and both estimator losses, with diagnostics."""
-        acted, estimate = self._act(tensordict), self._latent_estimate(tensordict)
+        acted = self._act(tensordict)
         latent = self._latent_of(acted)
+        adaptation, estimate = self._adaptation_terms(tensordict, latent)
         out = super().forward(acted)
         out.update(self._roa_terms(tensordict, latent, estimate))
-        out.update(self._adaptation_terms(tensordict, latent, estimate))
+        out.update(adaptation)
         out.update(self._smoothness_terms(acted))
         return out
 
@@ -231,10 +232,10 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         return out
 
     def adaptation_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Return ``loss_intrinsic``, ``loss_extrinsic`` and diagnostics: what trains the estimators."""
+        """Return ``loss_intrinsic``, ``loss_extrinsic``, estimators' own losses and diagnostics: what trains them."""
         with torch.no_grad():
             latent = self._latent(tensordict)
-        return TensorDict(self._adaptation_terms(tensordict, latent, self._latent_estimate(tensordict)))
+        return TensorDict(self._adaptation_terms(tensordict, latent)[0])
 
     def _latent_of(self, acted: TensorDictBase) -> Tensor:
         """Return the latent that the actor has computed, or compute it if the actor does not."""
@@ -257,27 +258,40 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         distance = (estimate.detach() - latent).square().sum(-1)
         return {"loss_roa": self._reduced(self.roa_coeff * distance, tensordict)}
 
-    def _adaptation_terms(
-        self, tensordict: TensorDictBase, latent: Tensor, latent_estimate: Tensor
-    ) -> dict[str, Tensor]:
-        target = tensordict.get(self.tensor_keys.extrinsic, None)
+    def _adaptation_terms(self, tensordict: TensorDictBase, latent: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+        """Return the terms of the estimators, and zhat."""
+        keys = self.tensor_keys
+        target = tensordict.get(keys.extrinsic, None)
         if target is None:
             raise KeyError(
-                f"No extrinsic target {self.tensor_keys.extrinsic!r} in the data; "
+                f"No extrinsic target {keys.extrinsic!r} in the data; "
                 "name the entry that holds it with loss.set_keys(extrinsic=...)."
             )
-        key = self.tensor_keys.extrinsic_estimate
-        error = self._run("extrinsic_estimator_network", key, tensordict, _RENAME) - target
-        scale = self.extrinsic_scale
-        scaled = error if scale is None else error / scale
-        latent_distance = (latent_estimate - latent.detach()).square().sum(-1)
-        distance = scaled.square().sum(-1)
-        return {
-            "loss_intrinsic": self._reduced(self.intrinsic_coeff * latent_distance, tensordict),
-            "loss_extrinsic": self._reduced(self.extrinsic_coeff * distance, tensordict),
-            "latent_error": latent_distance.detach().mean().sqrt(),
-            "extrinsic_error": scaled.detach().square().mean().sqrt(),
+        written, terms = self._estimate(tensordict)
+        zhat, z_scale = (written.get(key, None) for key in (keys.latent_estimate, keys.latent_estimate_scale))
+        xhat, x_scale = (written.get(key, None) for key in (keys.extrinsic_estimate, keys.extrinsic_estimate_scale))
+        intrinsic, z_error, z_calibration = regression(zhat, latent.detach(), None, z_scale)
+        extrinsic, x_error, x_calibration = regression(xhat, target, self.extrinsic_scale, x_scale)
+        calibrations = {"latent_calibration": z_calibration, "extrinsic_calibration": x_calibration}
+        out = {
+            "loss_intrinsic": self._reduced(self.intrinsic_coeff * intrinsic, tensordict),
+            "loss_extrinsic": self._reduced(self.extrinsic_coeff * extrinsic, tensordict),
+            **{name: self._reduced(value, tensordict) for name, value in terms.items()},
+            "latent_error": z_error.square().sum(-1).mean().sqrt(),
+            "extrinsic_error": x_error.square().mean().sqrt(),
         }
+        return out | {name: value for name, value in calibrations.items() if value is not None}, zhat
+
+    def _estimate(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, dict[str, Tensor]]:
+        """Run the estimators, each once; return what they write, and their own losses by name, (*B,) each."""
+        wanted = [[self.tensor_keys.latent_estimate], [self.tensor_keys.extrinsic_estimate]]
+        shared, written, terms = len(self._estimators) == 1, tensordict.empty(), {}
+        for name, keys in zip(self._estimators, [wanted[0] + wanted[1]] if shared else wanted):
+            ran, own = self._run_all(name, tensordict, keys, _RENAME)
+            written.update(ran)
+            role = "estimator" if shared else name.split("_")[0]
+            terms.update({f"loss_{role}_{loss}": value for loss, value in own.items()})
+        return written, terms
 
     def _latent(self, tensordict: TensorDictBase) -> Tensor:
         return self._run("encoder_network", self.tensor_keys.latent, tensordict, _RENAME)

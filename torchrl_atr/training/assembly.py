@@ -31,7 +31,8 @@ from torchrl_atr.modules import (
     with_correlated_noise,
 )
 from torchrl_atr.modules.checks import check_registered
-from torchrl_atr.modules.sizes import estimator_sizes
+from torchrl_atr.modules.estimators import state_keys
+from torchrl_atr.modules.sizes import estimator_specs
 from torchrl_atr.objectives import ROAClipPPOLoss
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.env_access import attribute
@@ -135,6 +136,8 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
         estimator=config.estimator.name,
         estimator_kwargs=config.estimator.arguments,
         estimator_inputs=_estimator_inputs(config, spec),
+        shared_estimator=config.estimator.shared,
+        actor_reads_scale=config.estimator.actor_reads_scale,
         input_products=[(size - 2, size - 1)] if config.ppo.command_interaction else [],
         latent_features=config.roa.latent_features,
         encoder_cells=config.roa.encoder_cells,
@@ -179,8 +182,13 @@ def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
         ConfigError: see :func:`make_run_networks`.
     """
     spec = env.observation_spec
-    sizes = estimator_sizes(spec, estimator_inputs=_estimator_inputs(config, spec))
-    check_registered(config.estimator.name, sizes.values(), **config.estimator.arguments)
+    specs = estimator_specs(
+        spec,
+        config.roa.latent_features,
+        estimator_inputs=_estimator_inputs(config, spec),
+        shared=config.estimator.shared,
+    )
+    check_registered(config.estimator.name, specs.values(), **config.estimator.arguments)
 
 
 def _estimator_inputs(config: TrainConfig, spec: Composite) -> list[NestedKey]:
@@ -245,6 +253,7 @@ def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
 def make_policy(config: TrainConfig, networks: ROANetworks) -> TensorDictSequential:
     """Return the policy that a run collects with; it shares the networks."""
     actor = networks.rollout_policy(config.roa.act_source)
-    if config.compiles_networks and config.compute.collector == "direct":  # compiled modules cannot be sent to workers
+    direct = config.compute.collector == "direct"  # compiled modules cannot be sent to workers
+    if config.compiles_networks and direct and not state_keys(actor):  # TorchRL's recurrent modules ask for values
         compile_methods(actor.module[0], "forward")
     return with_correlated_noise(actor, config.exploration.noise_correlation)

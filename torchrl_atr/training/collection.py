@@ -21,12 +21,13 @@ from torchrl.envs.utils import ExplorationType
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._errors import UserError, first_line
 from torchrl_atr._torchrl_private import carried_root
-from torchrl_atr.modules import DeviceBridge
+from torchrl_atr.modules import DeviceBridge, with_state
+from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
 
 _PLAIN = {"auto_register_policy_transforms": False}
-"""Arguments of a collector whose policy has no transforms."""
+"""Arguments of a collector whose env has the policy's transforms."""
 _CURRICULUM = "env.curriculum"
 _ENDLESS = 2**62
 """Frames, for the engines that do not read -1 as endless."""
@@ -64,7 +65,9 @@ class Collection:
         policy: TensorDictModuleBase,
         started: int = 0,
     ) -> None:
-        self.config, self.env, self.policy = config, env, policy
+        self.stateful = bool(state_keys(policy))
+        self.config, self.policy = config, policy
+        self.env = with_state(env, policy) if config.compute.collector == "direct" else env
         self.curriculum = curriculum_of(env)
         self.remote = config.compute.collector != "direct"
         self.callable = config.compute.collector in ("process", "ray")
@@ -90,7 +93,8 @@ class Collection:
         }
         if not self.remote:
             plain = {"track_traj_ids": False, "return_same_td": True, "trust_policy": True, **_PLAIN}
-            return Collector(self.env, _for_cpu_data(self.policy, config), **plain, **common)
+            captured = config.captures_graphs and not self.stateful  # an episode's begin is asked for
+            return Collector(self.env, _for_cpu_data(self.policy, config, captured), **plain, **common)
         threads = max(1, (config.compute.num_threads or available_cpus()) // config.compute.workers)
         weights = None if self.curriculum is None else self.curriculum.weights.clone()
         makers = [
@@ -105,7 +109,12 @@ class Collection:
             for worker in range(config.compute.workers)
         ]
         return Collector(
-            makers, self.policy, num_collectors=config.compute.workers, sync=True, **common, **_engine(config, threads)
+            makers,
+            self.policy,
+            num_collectors=config.compute.workers,
+            sync=True,
+            **common,
+            **_engine(config, threads, {"auto_register_policy_transforms": self.stateful}),
         )
 
     def collect(self) -> TensorDictBase:
@@ -207,17 +216,19 @@ class Collection:
                 torch.distributed.destroy_process_group()
 
 
-def _for_cpu_data(policy: TensorDictModuleBase, config: TrainConfig) -> Callable[[TensorDictBase], TensorDictBase]:
+def _for_cpu_data(
+    policy: TensorDictModuleBase, config: TrainConfig, captured: bool
+) -> Callable[[TensorDictBase], TensorDictBase]:
     """Return the policy, on any device, as a function of CPU data; as a module it would be copied to the CPU."""
     device = config.compute.device
-    return policy if device == "cpu" else DeviceBridge(policy, device, config.captures_graphs).forward
+    return policy if device == "cpu" else DeviceBridge(policy, device, captured).forward
 
 
-def _engine(config: TrainConfig, threads: int) -> dict[str, Any]:
+def _engine(config: TrainConfig, threads: int, of_each: dict[str, Any]) -> dict[str, Any]:
     """Return the engine-specific arguments of TorchRL's ``Collector``; each worker needs ``threads`` CPUs."""
     if config.compute.collector == "process":
         # workers wait while the learner computes: it keeps all of its threads
-        return {"total_frames": -1, "cat_results": 0, "num_threads": torch.get_num_threads(), **_PLAIN}
+        return {"total_frames": -1, "cat_results": 0, "num_threads": torch.get_num_threads(), **of_each}
     if config.compute.collector == "ray":
         here = {"num_cpus": config.compute.workers * threads, "include_dashboard": False}
         cluster = {} if os.environ.get("RAY_ADDRESS") else here  # a cluster has its own resources
@@ -226,7 +237,7 @@ def _engine(config: TrainConfig, threads: int) -> dict[str, Any]:
         from torch.distributed.elastic.utils.distributed import get_free_port
 
         options = {"launcher": "mp", "backend": "gloo", "tcp_port": get_free_port()}
-    options["collector_kwargs"] = dict(_PLAIN)
+    options["collector_kwargs"] = of_each
     return {"backend": config.compute.collector, "total_frames": _ENDLESS, "backend_options": options}
 
 

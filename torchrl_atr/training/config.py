@@ -24,6 +24,7 @@ from torchrl_atr.envs.tasks import TASKS, Task, make_task
 from torchrl_atr.envs.tasks.overrides import override
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.training import settings as groups
+from torchrl_atr.training.estimator_settings import EstimatorConfig
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class TrainConfig(Settings):
     exploration: groups.ExplorationConfig = field(default_factory=groups.ExplorationConfig)
     ppo: groups.PPOConfig = field(default_factory=groups.PPOConfig)
     roa: groups.ROAConfig = field(default_factory=groups.ROAConfig)
-    estimator: groups.EstimatorConfig = field(default_factory=groups.EstimatorConfig)
+    estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
     compute: groups.ComputeConfig = field(default_factory=groups.ComputeConfig)
     logging: groups.LoggingConfig = field(default_factory=groups.LoggingConfig)
 

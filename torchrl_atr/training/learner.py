@@ -1,7 +1,7 @@
 """Learner of a run: epochs of PPO on each batch, then epochs of the estimators.
 
-It replaces TorchRL's ``PPOTrainer`` with its ``OptimizationStepper``: that minimises the sum of all losses with one
-optimiser, without separate epochs for estimators, and waits for a GPU at each step.
+It replaces TorchRL's ``PPOTrainer`` and ``OptimizationStepper``, which minimise the sum of all losses with one
+optimiser, without separate epochs for estimators, and wait for a GPU at each step.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from torchrl.objectives.value import GAE
 
 from torchrl_atr._compilation import CudaGraph, compile_methods
 from torchrl_atr.modules import ROANetworks
+from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.training.assembly import make_run_loss
 from torchrl_atr.training.callbacks import Callbacks, Phase
@@ -57,6 +58,8 @@ class Learner:
         self._averaged.eval()  # it is never trained
         self.loss: Any = make_run_loss(config, networks) if loss is None else loss
         self._has_own_loss = loss is not None
+        estimators = networks.intrinsic_estimator_module, networks.extrinsic_estimator_module
+        self._recurrent = any(map(state_keys, estimators))  # then trained on sequences
         self.reward_schedule, self.callbacks = dict(reward_schedule or {}), callbacks or Callbacks()
         critic = networks.critic_module
         self.advantage = GAE(
@@ -68,7 +71,7 @@ class Learner:
             vectorized=False,  # over few steps a loop takes half as long
         )
         if config.compiles_networks:
-            compile_methods(self.loss, "policy_loss", "adaptation_loss")
+            compile_methods(self.loss, "policy_loss", *["adaptation_loss"] * (not self._recurrent))
             compile_methods(critic, "forward")
         policy = (networks.encoder, networks.backbone, networks.exploration)
         self._groups: dict[str, list[nn.Parameter]] = {
@@ -76,18 +79,13 @@ class Learner:
             "critic": list(networks.critic.parameters()),
             "estimators": list(networks.estimator_parameters()),
         }
-        rates = {
-            "policy": config.ppo.learning_rate,
-            "critic": config.ppo.critic_learning_rate,
-            "estimators": config.estimator.learning_rate,
-        }
+        ppo, estimator = config.ppo, config.estimator
+        rates = {"policy": ppo.learning_rate, "critic": ppo.critic_learning_rate, "estimators": estimator.learning_rate}
         self.optimizers = {
             name: torch.optim.Adam(group, lr=rates[name], fused=True, capturable=config.captures_graphs)
             for name, group in self._groups.items()
         }
-        self.schedule = DeviceKLAdaptiveLR(
-            self.optimizers["policy"], config.ppo.target_kl, max_lr=config.ppo.max_learning_rate
-        )
+        self.schedule = DeviceKLAdaptiveLR(self.optimizers["policy"], ppo.target_kl, max_lr=ppo.max_learning_rate)
         self._first, self._too_far = torch.zeros(2, dtype=torch.bool, device=config.compute.device)
         self._steps = self._make_steps()
         self._roa_ramp = LinearSchedule(self.loss, "roa_coeff", 0.0, config.roa.coeff) if config.roa.ramp else None
@@ -96,8 +94,9 @@ class Learner:
         self.minibatch_size = -(-config.frames_per_batch // config.ppo.minibatches)
 
     def _make_steps(self) -> dict[str, Callable[[TensorDictBase], TensorDictBase]]:
-        steps = {"policy": self._policy_step, "estimators": self._adaptation_step}
-        return {name: CudaGraph(step) for name, step in steps.items()} if self.config.captures_graphs else {**steps}
+        captured = CudaGraph if self.config.captures_graphs else (lambda step: step)
+        estimators = self._adaptation_step if self._recurrent else captured(self._adaptation_step)
+        return {"policy": captured(self._policy_step), "estimators": estimators}
 
     @property
     def deployed(self) -> ROANetworks:
@@ -148,12 +147,13 @@ class Learner:
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
             action_rate = (batch["loc"] - batch["previous_mean"]).square().mean().sqrt()
         flat = batch.reshape(-1)
-        if self.config.roa.act_source == "privileged":
+        if self.config.roa.act_source == "privileged" and not self._recurrent:  # else the rollout recorded them
             self._record_latent_estimates(flat)
         shuffled = self._shuffled(flat)
         self._first.fill_(True)
         self._too_far.fill_(False)
-        policy, adaptation = self._learn_policy(shuffled), self._learn_estimators(shuffled)
+        policy = self._learn_policy(shuffled)
+        adaptation = self._learn_estimators(self._shuffled(batch) if self._recurrent else shuffled)
         self.networks.update_normalizers(flat)
         self._averaged.update_parameters(self.networks)
         metrics = {**self._means("policy", policy), **self._means("estimators", adaptation)}
@@ -163,13 +163,13 @@ class Learner:
     def _record_latent_estimates(self, flat: TensorDictBase) -> None:
         """Record ẑ once an iteration, without gradient: the target of the encoder (Eq. 15's second term)."""
         module = self.networks.intrinsic_estimator_module
-        (key,) = module.out_keys
+        key = module.out_keys[0]
         with torch.no_grad():
             parts = [module(part.select(*module.in_keys))[key] for part in flat.split(self.minibatch_size)]
         flat.set(key, torch.cat(parts))
 
     def _shuffled(self, flat: TensorDictBase) -> TensorDictBase:
-        """Return the entries that the losses read, shuffled; whole rows, which torch copies faster than it indexes."""
+        """Return the entries that the losses read, shuffled; whole rows (steps or sequences), as indexing is slower."""
         read = flat.select(*self._read["policy"], *self._read["estimators"], strict=False)
         order = torch.randperm(len(flat), device=flat.device)
         return read.apply(lambda entry: entry.index_select(0, order))
@@ -193,7 +193,8 @@ class Learner:
             The reports of the steps, (steps,), on the device that computed them: nothing waits for a GPU before all
             steps are launched.
         """
-        minibatches = shuffled.select(*self._read[phase], strict=False).split(self.minibatch_size)
+        size = self.minibatch_size if shuffled.ndim == 1 else -(-len(shuffled) // self.config.ppo.minibatches)
+        minibatches = shuffled.select(*self._read[phase], strict=False).split(size)
         step, through = self._steps[phase], self.callbacks.through
         return torch.stack(
             [step(through("on_minibatch", minibatch, phase)) for _ in range(epochs) for minibatch in minibatches]
