@@ -313,7 +313,7 @@ def test_wrong_kinds_of_arguments_are_named(name, value):
         (lambda: make(num_threads=10**400), "num_threads=1000"),
         (lambda: make(transporter={}), "there is no name, design"),
         (lambda: make(transporter={"disc": 1}), "unknown key 'disc'"),
-        (lambda: RandomizedStepCounter(5, every=2.5), "every=2.5"),
+        (lambda: RandomizedStepCounter(5, check_interval=2.5), "check_interval=2.5"),
         (lambda: CompactStorage(at_root="history"), "at_root='history'"),
     ],
 )
