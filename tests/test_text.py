@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -119,7 +120,7 @@ def test_training_ends_with_where_the_run_is_and_what_comes_next(tmp_path, capsy
     tiny = ["--num-envs", "2", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
     assert main(["train", *tiny, "--total-frames", "16", "--output", "my run"]) == 0
     last = capsys.readouterr().out.splitlines()[-2:]
-    assert last[0].startswith("finished after 16 robot steps in 0.0 minutes; the run is in 'my run'")
+    assert re.match(r"finished after 16 robot steps in \d\.\d minutes; the run is in 'my run'", last[0])
     assert last[1] == "measure it with: torchrl-atr evaluate 'my run'"
 
 
