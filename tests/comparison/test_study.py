@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
@@ -27,19 +28,8 @@ TINY = {
     "estimator.name": "mlp",
     "estimator.arguments": {"cells": [8]},
 }
-OWN = """
-from torch import nn
-from torchrl_atr.modules import register_estimator
-
-@register_estimator("newest")
-class Newest(nn.Module):
-    def __init__(self, history_shape, out_features):
-        super().__init__()
-        self.net = nn.Linear(history_shape[1], out_features)
-
-    def forward(self, history):
-        return self.net(history[..., -1, :])
-"""
+PAGE = Path(__file__).parents[2] / "docs" / "compare.md"
+"""Its first program is an estimator of one's own."""
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +47,7 @@ def loaded(run):
 def test_two_estimators_are_compared_and_more_are_added(run, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(_ESTIMATORS, "_entries", dict(_ESTIMATORS._entries))
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "my_newest.py").write_text(OWN)
+    (tmp_path / "my_estimator.py").write_text(PAGE.read_text().split("```python\n")[1].partition("```")[0])
     asked = ["compare", str(run), "--quick", "--seconds", "0.4", "--output", "report", "--estimators", "mlp"]
     assert main([*asked, "gru"]) == 0
     printed = capsys.readouterr().out
@@ -76,11 +66,11 @@ def test_two_estimators_are_compared_and_more_are_added(run, tmp_path, monkeypat
     assert {"README.md", "components_realistic.png", "drift_realistic.png"} <= files
     assert "| gru | 1 |" in (tmp_path / "report" / "README.md").read_text()
     # again, with an estimator of one's own: what is there is not made again
-    monkeypatch.setattr(study, "fit", partial(_only, "newest", study.fit))
-    assert main([*asked, "gru", "newest", "--import", "my_newest"]) == 0
+    monkeypatch.setattr(study, "fit", partial(_only, "newest_and_mean", study.fit))
+    assert main([*asked, "gru", "newest_and_mean", "--import", "my_estimator"]) == 0
     made = [line for line in capsys.readouterr().out.splitlines() if line.partition(" in ")[2].endswith(" s")]
     assert len(made) == 3
-    assert all(line.startswith("newest, seed 0") for line in made)
+    assert all(line.startswith("newest_and_mean, seed 0") for line in made)
     again = json.loads((tmp_path / "report" / "comparison.json").read_text())["sensors"]["realistic"]["estimators"]
     assert {name: again[name] for name in ("truth", "mlp", "gru")} == {
         name: figures["estimators"][name] for name in ("truth", "mlp", "gru")

@@ -83,7 +83,7 @@ def toy(encoder=None):
     return Recording(data, 40, components, ("seen[0]", "seen[1]", "unseen"))
 
 
-def trained(name, recording, updates=400):
+def trained(name, recording, updates=250):
     torch.manual_seed(0)
     networks = make_networks(
         SPEC, Unbounded((2,)), estimator=name, latent_features=2, actor_cells=[4], critic_cells=[4]

@@ -37,7 +37,7 @@ def add_compare(parser: argparse.ArgumentParser, number_in: Any, seed: Any, path
         help="recorded; a quarter, for validation and rides; default: 256",
     )
     parser.add_argument("--seconds", type=number_in(float, 0.1, 86400), help="of the recording and a ride; default: 60")
-    parser.add_argument("--updates", type=number_in(int, 1, 10**9), help="of each estimator; default: 3000")
+    parser.add_argument("--updates", type=number_in(int, 1, 10**9), help="of each estimator; default: 1000")
     parser.add_argument("--batch", type=number_in(int, 1, 10**7), help="control steps in an update; default: 1024")
     parser.add_argument("--seeds", type=number_in(int, 1, 1000), help="trainings of each estimator; default: 3")
     parser.add_argument("--seed", type=seed, help="of the recording and the first training; default: 0")

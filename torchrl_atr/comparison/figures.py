@@ -34,6 +34,7 @@ def plot_components(estimators: Mapping[str, Any], path: str | Path) -> Path:
             axis.barh(at, value, height, color=colour, label=name)
             axis.hlines(at, low, high, color=GREY, lw=1.0)
         axis.set_yticks(range(len(labels)), labels)
+        axis.margins(y=0.01)
         axis.invert_yaxis()
         axis.axvline(1.0, color=GREY, lw=0.8, ls=":")
         axis.set(xlabel="share of the variance that is not explained, 1 - R²", xlim=(0.0, _most(rows)))

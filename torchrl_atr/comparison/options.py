@@ -44,7 +44,7 @@ class CompareOptions:
 
     robots: int = 256
     seconds: float = 60.0
-    updates: int = 3000
+    updates: int = 1000
     batch: int = 1024
     sequence: int = 64
     seeds: int = 3

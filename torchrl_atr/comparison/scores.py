@@ -23,6 +23,7 @@ from torchrl_atr.comparison.recording import AGE, Recording
 from torchrl_atr.comparison.statistics import LinearProbe, effective_dimension
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.modules import ROANetworks
+from torchrl_atr.modules.estimators import state_keys
 
 Array = NDArray[np.float64]
 BINS = 20
@@ -48,7 +49,7 @@ class Scores:
         bin_seconds: length of a part of the ride.
         dimension: effective dimension of the estimated latent.
         parameters: number of the estimators' parameters, those of their own losses included.
-        microseconds: time of a control step's estimates for one robot on one core.
+        microseconds: CPU time of a control step's estimates for one robot, on one core.
     """
 
     steps: Array
@@ -92,9 +93,11 @@ def score(networks: ROANetworks, recording: Recording) -> Scores:
     for part, written in estimates(networks, data):
         sums.append(_sums(networks, part, written, width, bins))
         seen.append(_pair(part[keys.intrinsic], written[keys.intrinsic_estimate]))
+    # a hidden state needs every step
+    every = 1 if any(map(state_keys, networks.estimator_modules)) else _EVERY
     known = [
-        _pair(part[keys.intrinsic], written[keys.intrinsic_estimate])
-        for part, written in estimates(networks, recording.train)
+        _pair(part[keys.intrinsic], written[keys.intrinsic_estimate], _EVERY // every)
+        for part, written in estimates(networks, recording.train[:, ::every])
     ]
     latents = np.concatenate([latent for latent, _ in seen])
     return Scores(
@@ -136,9 +139,9 @@ def _sums(networks: ROANetworks, data: TensorDictBase, written: TensorDictBase, 
     return sums
 
 
-def _pair(intrinsic: Tensor, latent: Tensor) -> tuple[Array, Array]:
+def _pair(intrinsic: Tensor, latent: Tensor, every: int = _EVERY) -> tuple[Array, Array]:
     """Return latents and intrinsic parameters of some steps, (n, t, L) and (n, t, I)."""
-    return latent[:, ::_EVERY].double().numpy(), intrinsic[:, ::_EVERY].double().numpy()
+    return latent[:, ::every].double().numpy(), intrinsic[:, ::every].double().numpy()
 
 
 def probe_sums(known: Sequence[tuple[Array, Array]], seen: Sequence[tuple[Array, Array]]) -> dict[str, Array]:
@@ -162,7 +165,7 @@ def probe_sums(known: Sequence[tuple[Array, Array]], seen: Sequence[tuple[Array,
 
 @torch.no_grad()
 def microseconds(networks: ROANetworks, step: TensorDictBase, repeats: int = 100) -> float:
-    """Return the median time of the estimates of one control step on one core, in eager mode.
+    """Return the median time of the estimates of one control step on one core, in eager mode, in CPU time.
 
     Args:
         networks: whose estimators run.
@@ -174,8 +177,8 @@ def microseconds(networks: ROANetworks, step: TensorDictBase, repeats: int = 100
     taken = []
     with one_torch_thread():
         for _ in range(repeats // 10 + repeats):  # the first ones are slower
-            begin = time.perf_counter()
+            begin = time.thread_time()
             for module, inputs in runs:
                 module(inputs)
-            taken.append(time.perf_counter() - begin)
+            taken.append(time.thread_time() - begin)
     return 1e6 * statistics.median(taken[repeats // 10 :])
