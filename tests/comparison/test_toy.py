@@ -10,6 +10,7 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Composite, Unbounded
 
+from torchrl_atr._threads import one_torch_thread
 from torchrl_atr.comparison import CompareOptions, ComparisonError, Recording, score
 from torchrl_atr.comparison.fitting import entries_read, estimates, fit
 from torchrl_atr.comparison.recording import AGE
@@ -36,6 +37,12 @@ class Linear(nn.Linear):
 
     def forward(self, history):
         return super().forward(history.flatten(-2))
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    with one_torch_thread():  # others only wait where CPUs are busy
+        yield
 
 
 def linear_gaussian(spec):
