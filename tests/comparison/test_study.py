@@ -89,7 +89,7 @@ def _only(name, fit, networks, config, *arguments):
         (["--estimators", "mlp", "--sensors", "magic"], "magic"),
     ],
 )
-def test_bad_input_is_one_message_and_leaves_nothing(run, tmp_path, capsys, words, message):
+def test_bad_input_is_one_message_and_nothing_is_recorded(run, tmp_path, capsys, words, message):
     output = tmp_path / "report"
     assert main(["compare", str(run), *words, "--quick", "--output", str(output)]) == 2
     assert message in capsys.readouterr().err
