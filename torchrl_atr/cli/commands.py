@@ -16,6 +16,7 @@ from torchrl_atr._files import atomic, folder_for, say, whole
 from torchrl_atr._nested import merged
 from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.bundles import export, verify
+from torchrl_atr.cli.compare import compare
 from torchrl_atr.cli.navigate import navigate
 from torchrl_atr.cli.printing import StepCounter, replay_head, replay_line
 from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
@@ -274,6 +275,7 @@ COMMANDS: dict[str, Any] = {
     "export": export,
     "verify": verify,
     "navigate": navigate,
+    "compare": compare,
     "replay": replay,
     "model": write_model,
     "bench": bench,

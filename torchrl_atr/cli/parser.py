@@ -10,6 +10,7 @@ from typing import Any
 
 from torchrl_atr import __version__
 from torchrl_atr._registry import nearest
+from torchrl_atr.cli.compare import add_compare
 from torchrl_atr.cli.navigate import add_navigate
 from torchrl_atr.cli.protocols import PROTOCOLS
 from torchrl_atr.deploy.manifest import find_policy
@@ -71,6 +72,10 @@ def build_parser() -> argparse.ArgumentParser:
     _add_bundles(commands)
     navigation = commands.add_parser("navigate", help="follow planned paths over a map, and measure the energy")
     add_navigate(navigation, _number, _seed, _run)
+    comparison = commands.add_parser("compare", help="train and measure other estimators in the policy of a run")
+    add_compare(comparison, _number, _seed, _path, _run)
+    _add_checkpoint(comparison)
+    _add_import(comparison)
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
     replay.add_argument("dump", type=_path)
     _add_import(replay)

@@ -155,9 +155,9 @@ def evaluate_endurance(
             f"seconds={seconds} must be at least a control step, {dt} s, and settle={settle} shorter than "
             f"command_seconds={command_seconds}"
         )
-    bounds = _bounds(make_env, max_speed, max_yaw_rate)
+    bounds = command_bounds(make_env, max_speed, max_yaw_rate)
     margin = (math.inf, math.inf) if overspeed is None else check_pair("overspeed", overspeed, "two positive numbers")
-    commands = _draw(bounds, -(-total // command_steps), robots, seed)
+    commands = draw_commands(bounds, -(-total // command_steps), robots, seed)
     limit = torch.as_tensor(np.abs(bounds).max(0) + margin, dtype=torch.float32)
 
     def make_log(env: EnvBase, part: Tensor) -> EnduranceLog:
@@ -188,8 +188,17 @@ def evaluate_endurance(
     )
 
 
-def _bounds(make_env: MakeEnv, max_speed: float | None, max_yaw_rate: float | None) -> Array:
-    """Return the lowest and the highest command, (2, 2)."""
+def command_bounds(make_env: MakeEnv, max_speed: float | None = None, max_yaw_rate: float | None = None) -> Array:
+    """Return the lowest and the highest command, (2, 2).
+
+    Args:
+        make_env: called as ``make_env(num_envs=1, seed=0)``.
+        max_speed: largest |c_v|, m/s; None for 2, or the env's largest command if that is less.
+        max_yaw_rate: largest |c_ω|, rad/s; None for 1, likewise.
+
+    Raises:
+        InputError: for commands beyond the env's command grid. TypeError: if the env cannot pin commands.
+    """
     env = build_env(make_env, 1, 0)
     _, largest = command_limits(env, (math.inf, math.inf))
     asked = []
@@ -202,8 +211,8 @@ def _bounds(make_env: MakeEnv, max_speed: float | None, max_yaw_rate: float | No
     return np.stack([low, high])
 
 
-def _draw(bounds: Array, count: int, robots: int, seed: int) -> Tensor:
-    """Return commands, (count, robots, 2), uniform within the bounds."""
+def draw_commands(bounds: Array, count: int, robots: int, seed: int) -> Tensor:
+    """Draw commands, (count, robots, 2), uniform within the bounds."""
     uniform = torch.rand(count, robots, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     low, high = torch.as_tensor(bounds)
     return (low + (high - low) * uniform).float()

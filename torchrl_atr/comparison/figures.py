@@ -1,0 +1,76 @@
+"""Figures of a comparison. Importing this module imports matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import pyplot as plt
+from numpy.typing import NDArray
+
+from torchrl_atr.evaluation.plotting import GREY, STYLE, save
+
+_COLOURS = "tab10"
+
+
+def plot_components(estimators: Mapping[str, Any], path: str | Path) -> Path:
+    """Plot 1 - R² of each extrinsic state as bars, one for each estimator, with 95 % intervals.
+
+    Args:
+        estimators: by name, of :func:`~torchrl_atr.comparison.summarize`; those without errors are left out.
+        path: the PNG to write.
+    """
+    rows = {name: row for name, row in estimators.items() if "error" in row}
+    labels = [component["label"] for component in next(iter(rows.values()))["components"]]
+    height = 0.8 / len(rows)
+    with plt.rc_context(STYLE):
+        figure, axis = plt.subplots(figsize=(7.5, 1.2 + (0.16 * len(rows) + 0.12) * len(labels)))
+        for number, (name, row) in enumerate(rows.items()):
+            value, low, high = (1.0 - _column(row["components"], end) for end in ("value", "high", "low"))
+            at = np.arange(len(labels)) + (number - (len(rows) - 1) / 2) * height
+            colour = plt.get_cmap(_COLOURS)(number % 10)
+            axis.barh(at, value, height, color=colour, label=name)
+            axis.hlines(at, low, high, color=GREY, lw=1.0)
+        axis.set_yticks(range(len(labels)), labels)
+        axis.margins(y=0.01)
+        axis.invert_yaxis()
+        axis.axvline(1.0, color=GREY, lw=0.8, ls=":")
+        axis.set(xlabel="share of the variance that is not explained, 1 - R²", xlim=(0.0, _most(rows)))
+        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        return save(figure, path)
+
+
+def _column(components: list[Any], end: str) -> NDArray[np.float64]:
+    return np.array([component["r_squared"][end] for component in components], dtype=np.float64)
+
+
+def _most(rows: Mapping[str, Any]) -> float:
+    """Return the end of the axis: 1 is an estimator that knows the mean alone, and far worse ones are cut off."""
+    values = np.concatenate([1.0 - _column(row["components"], "value") for row in rows.values()])
+    known = values[np.isfinite(values)]
+    return float(np.clip(1.1 * known.max(), 0.05, 2.0)) if known.size else 1.0
+
+
+def plot_drift(estimators: Mapping[str, Any], path: str | Path) -> Path:
+    """Plot the error over all extrinsic states against the time in the ride, with 95 % intervals as bands.
+
+    Args:
+        estimators: as for :func:`plot_components`.
+        path: the PNG to write.
+    """
+    with plt.rc_context(STYLE):
+        figure, axis = plt.subplots(figsize=(7.5, 4.0))
+        rows = {name: row for name, row in estimators.items() if "error" in row}
+        for number, (name, row) in enumerate(rows.items()):
+            x, value, low, high = (
+                np.array(row["drift"][key], dtype=np.float64) for key in ("seconds", "value", "low", "high")
+            )
+            colour = plt.get_cmap(_COLOURS)(number % 10)
+            axis.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
+            axis.plot(x, value, color=colour, lw=1.5, label=name, marker="." if len(x) == 1 else None)
+        axis.set(xlabel="time in the ride [s]", ylabel="error [standard deviations]", ylim=(0.0, None))
+        axis.grid(alpha=0.25)
+        axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        return save(figure, path)

@@ -1,0 +1,83 @@
+"""Rides of the policy on an estimator: what the errors of the estimates cost."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from tensordict.nn import TensorDictModuleBase
+
+from torchrl_atr.comparison.options import CompareOptions
+from torchrl_atr.evaluation import EnduranceResult, endurance_metrics, evaluate_endurance
+from torchrl_atr.evaluation.endurance import OVERSPEED
+from torchrl_atr.evaluation.ride import MakeEnv
+from torchrl_atr.training import TrainConfig
+
+_OTHER_ROBOTS = 1_000_000
+"""Distance of the seeds of rides from that of the recording: the intrinsic parameters are others."""
+_RIDE = ("n", "seconds", "falls", "survival", "survival_interval", "falls_per_minute")
+_RIDE_ERRORS = ("settled_speed_error", "settled_yaw_error")
+_ALONG_ROBOTS = {"commands": 1, "up_steps": 1, "settled_steps": 1, "settled_error": 1, "estimate_error": 1}
+_ALONG_ROBOTS |= {"latent_error": 1, "intrinsics": 0} | dict.fromkeys(("fall_time", "fall_cause"), 0)
+_ALONG_ROBOTS |= dict.fromkeys(("since_push", "since_command"), 0)
+"""Fields of a ride that have an entry for each robot, and their axis."""
+
+
+def ride(
+    policy: TensorDictModuleBase,
+    make_env: MakeEnv,
+    config: TrainConfig,
+    options: CompareOptions,
+    seed: int,
+    encoder_module: TensorDictModuleBase,
+    tick: Callable[[], None] = lambda: None,
+) -> EnduranceResult:
+    """Evaluate the endurance of a policy; with the same seed every policy has the same robots and commands.
+
+    Args:
+        policy: to ride with.
+        make_env: called as ``make_env(num_envs=n, seed=s)``.
+        config: of the run, whose limit of speed counts as a fall.
+        options: robots, seconds and commands.
+        seed: of the training.
+        encoder_module: writes the true latent.
+        tick: called after every step.
+    """
+    margin = config.env.overspeed_margin
+    return evaluate_endurance(
+        policy,
+        make_env,
+        options.riding,
+        options.seconds,
+        options.command_seconds,
+        min(2.0, options.command_seconds / 2),
+        options.max_speed,
+        options.max_yaw_rate,
+        seed + _OTHER_ROBOTS,
+        overspeed=(margin[0], margin[1]) if margin else OVERSPEED,
+        encoder_module=encoder_module,
+        progress=lambda done, total: tick(),
+    )
+
+
+def ride_figures(rides: Sequence[EnduranceResult]) -> dict[str, Any]:
+    """Return survival and tracking errors over the rides of all trainings, with their 95 % intervals.
+
+    Args:
+        rides: of each training, whose robots differ.
+    """
+    metrics = endurance_metrics(joined(rides))
+    intervals = {f"{name}_interval": metrics[f"{name}_interval"] for name in _RIDE_ERRORS}
+    return {name: metrics[name] for name in (*_RIDE, *_RIDE_ERRORS)} | intervals
+
+
+def joined(rides: Sequence[EnduranceResult]) -> EnduranceResult:
+    """Return several rides of the same length as one of all their robots."""
+    first = rides[0]
+    fields: dict[str, Any] = {}
+    for name, axis in _ALONG_ROBOTS.items():
+        if getattr(first, name) is not None:
+            fields[name] = np.concatenate([getattr(ride, name) for ride in rides], axis)
+    return dataclasses.replace(first, **fields)

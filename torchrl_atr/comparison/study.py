@@ -1,0 +1,196 @@
+"""Comparison of estimators in one policy: its parts, each made once and kept on disk, in the order they are needed."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from urllib.parse import quote
+
+import torch
+from tensordict import NestedKey
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
+
+from torchrl_atr._files import write_json
+from torchrl_atr.comparison.fitting import (
+    config_with,
+    entries_read,
+    fit,
+    load_estimators,
+    networks_with,
+    save_estimators,
+)
+from torchrl_atr.comparison.options import SETTINGS, CompareOptions, ComparisonError, check_settings
+from torchrl_atr.comparison.recording import Recording, load_recording, record
+from torchrl_atr.comparison.rides import ride
+from torchrl_atr.comparison.scores import Scores, score
+from torchrl_atr.evaluation import EnduranceResult, load_endurance, save_endurance
+from torchrl_atr.modules import CommandClippedPolicy, ROANetworks
+from torchrl_atr.training import DEPLOYMENT_OVERRIDES, TrainConfig, make_env
+from torchrl_atr.training.assembly import check_run_estimator
+
+TRUTH, AS_TRAINED = "truth", "as trained"
+"""References: the policy on privileged information, and on the estimators that it was trained with."""
+
+
+@dataclass
+class Outcome:
+    """Outcome of one estimator, or a reference: one entry of each list for each training.
+
+    Attributes:
+        scores: on the recording; empty for the truth.
+        rides: of the policy on its estimates.
+    """
+
+    scores: list[Scores] = field(default_factory=list)
+    rides: list[EnduranceResult] = field(default_factory=list)
+
+
+class Study:
+    """Comparison of estimators in the policy of a run; what a folder holds of it is not made again.
+
+    Args:
+        config, env, networks: of :func:`torchrl_atr.training.load_run`.
+        folder: where the parts are kept.
+        options: sizes and ranges.
+        announce: called with a line after each part.
+        tick: called often, while parts are made.
+
+    Raises:
+        ComparisonError: if the networks have no encoder, or the folder holds a comparison with other settings.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        env: EnvBase,
+        networks: ROANetworks,
+        folder: Path,
+        options: CompareOptions,
+        announce: Callable[[str], object] = lambda line: None,
+        tick: Callable[[], None] = lambda: None,
+    ) -> None:
+        if getattr(networks, "encoder", None) is None:
+            raise ComparisonError(
+                "this run has no encoder, whose latent the estimators are to infer; compare them in a run that was "
+                "trained by regularised online adaptation"
+            )
+        self.config, self.env, self.networks = config, env, networks
+        self.folder, self.options = folder, options
+        self._announce, self._tick = announce, tick
+        # more seeds are added to what is there
+        asked = {**dataclasses.asdict(options), "policy": _fingerprint(networks)}
+        self._settings = {name: value for name, value in asked.items() if name != "seeds"}
+        check_settings(folder, self._settings)
+
+    def run(self, estimators: Sequence[str], sensors: str) -> tuple[Recording, dict[str, Outcome]]:
+        """Make what is missing for some estimators and a set of sensors, and return it all by name, references first.
+
+        Raises:
+            UnknownNameError: for an unregistered estimator. EstimatorError: for one that cannot be trained, or that the
+            actor cannot read. ComparisonError: for one that reads what was not recorded.
+        """
+        chosen = {name: self._config_with(name) for name in dict.fromkeys(estimators)}
+        fresh = {name: networks_with(config, self.env, self.networks) for name, config in chosen.items()}
+        self._keep_settings()
+        home = self.folder / quote(sensors, safe="")
+        further = [key for each in fresh.values() for key in entries_read(each)]
+        recording = self._recording(home / "data", sensors, further)
+        for name, networks in fresh.items():
+            recording.check_holds(entries_read(networks), name, home / "data")
+        outcomes = {TRUTH: Outcome(), AS_TRAINED: Outcome()}
+        references = home / "references"
+        for seed in self._seeds:
+            for name, policy in ((TRUTH, self._on_the_truth()), (AS_TRAINED, self.networks.deployed_policy())):
+                part = references / name.replace(" ", "_")
+                outcomes[name].rides.append(self._ride(part, f"the policy, {name}", seed, sensors, policy))
+        own = self._score(references / "as_trained", AS_TRAINED, self.options.seed, self.networks, recording)
+        outcomes[AS_TRAINED].scores.append(own)
+        for name, config in chosen.items():
+            part = home / "estimators" / quote(name, safe="")
+            outcomes[name] = self._estimator(part, name, config, recording, sensors)
+        return recording, outcomes
+
+    def _keep_settings(self) -> None:
+        write_json(self.folder / SETTINGS, self._settings)
+
+    def _on_the_truth(self) -> TensorDictModuleBase:
+        networks, policy = self.networks, self.networks.rollout_policy("privileged")
+        limits = networks.command_range
+        return policy if limits is None else CommandClippedPolicy(policy, limits, networks.keys)
+
+    @property
+    def _seeds(self) -> range:
+        return range(self.options.seed, self.options.seed + self.options.seeds)
+
+    def _config_with(self, name: str) -> TrainConfig:
+        if name in (TRUTH, AS_TRAINED):
+            raise ComparisonError(f"{name!r} is a reference of the comparison; register the estimator by another name")
+        config = config_with(self.config, name)
+        check_run_estimator(config, self.env)  # type: ignore[arg-type]
+        return config
+
+    def _recording(self, folder: Path, sensors: str, further: list[NestedKey]) -> Recording:
+        if not folder.exists():
+            with self._timed(f"recorded {self.options.robots} robots, {self.options.seconds:g} s, {sensors} sensors"):
+                margin = self.config.env.overspeed_margin or None
+                make = partial(self._make_env(sensors), overspeed_margin=margin)
+                record(self.networks, make, self.options, folder, further, self._tick)
+        return load_recording(folder)
+
+    def _make_env(self, sensors: str) -> Callable[..., EnvBase]:
+        own = sensors == self.config.task.sensors  # not every task has any
+        chosen = {"randomization": self.options.randomization, "pushes": True, **({} if own else {"sensors": sensors})}
+        return partial(make_env, self.config, **{**DEPLOYMENT_OVERRIDES, **chosen})
+
+    def _estimator(self, part: Path, name: str, config: TrainConfig, recording: Recording, sensors: str) -> Outcome:
+        outcome = Outcome()
+        for seed in self._seeds:
+            with torch.random.fork_rng(devices=[]):
+                torch.manual_seed(seed)
+                networks = networks_with(config, self.env, self.networks)
+                weights = part / f"weights_{seed}.pt"
+                if not weights.is_file():
+                    with self._timed(f"{name}, seed {seed}: trained"):
+                        fit(networks, config, recording, self.options, seed, self._tick)
+                    save_estimators(networks, weights)
+            load_estimators(networks, weights)
+            outcome.scores.append(self._score(part, f"{name}, seed {seed}", seed, networks, recording))
+            outcome.rides.append(self._ride(part, f"{name}, seed {seed}", seed, sensors, networks.deployed_policy()))
+        return outcome
+
+    def _score(self, part: Path, label: str, seed: int, networks: ROANetworks, recording: Recording) -> Scores:
+        path = part / f"scores_{seed}.npz"
+        if not path.is_file():
+            with self._timed(f"{label}: measured on the recording"):
+                score(networks, recording).save(path)
+        return Scores.load(path)
+
+    def _ride(self, part: Path, label: str, seed: int, sensors: str, policy: TensorDictModuleBase) -> EnduranceResult:
+        path, make = part / f"rides_{seed}.npz", self._make_env(sensors)
+        if not path.is_file():
+            with self._timed(f"{label}: rode for {self.options.seconds:g} s"):
+                result = ride(policy, make, self.config, self.options, seed, self.networks.encoder_module, self._tick)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            save_endurance(result, path)
+        return load_endurance(path)
+
+    @contextmanager
+    def _timed(self, text: str) -> Iterator[None]:
+        begin = time.monotonic()
+        yield
+        self._announce(f"{text} in {time.monotonic() - begin:.1f} s")
+
+
+def _fingerprint(networks: ROANetworks) -> str:
+    """Return a hash of all weights."""
+    digest = hashlib.sha256()
+    for name, value in sorted(networks.state_dict().items()):
+        digest.update(name.encode() + value.numpy().tobytes())
+    return digest.hexdigest()[:16]
