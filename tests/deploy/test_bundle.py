@@ -20,7 +20,7 @@ from torchrl_atr.deploy.export import LARGEST, export_run
 from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, WEIGHTS
 from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import ROBOTS
-from torchrl_atr.modules import ClippedPolicy
+from torchrl_atr.modules import CommandClippedPolicy
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
 
 RUN = Path(__file__).parents[2] / "results" / "a1-single_board"
@@ -84,7 +84,7 @@ def test_its_weights_are_the_deployed_ones_of_the_run(bundle):
 
 def test_it_is_loaded_as_a_policy_with_its_env(bundle):
     policy, make_env = torchrl_atr.load_policy(bundle)
-    assert isinstance(policy, ClippedPolicy)
+    assert isinstance(policy, CommandClippedPolicy)
     assert not any(module.training for module in policy.modules())
     assert set(policy.in_keys) == {"history", "dead_reckoned_velocity", "observation"}
     env = make_env(num_envs=2, seed=0, num_threads=1)

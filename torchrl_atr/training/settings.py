@@ -25,17 +25,17 @@ class EnvConfig(Settings):
 
     num_envs: int = setting(512, within=(1, 1e6), alias="num-envs", paper=4096)
     """Robots simulated at once. 512 robots of 12 steps learn as much from a frame as 256 of 24, and collect faster."""
-    episode_seconds: float = setting(60.0, within=(0.1, 1e6), unit="s", paper=10.0)
-    """Time limit of an episode in the end. After a minute feet have shifted and estimates have drifted."""
+    episode_seconds: float = setting(20.0, within=(0.1, 1e6), unit="s", paper=10.0)
+    """Time limit of an episode. In 20 s commands change three times and pushes come six times, as in a long ride."""
     first_episode_seconds: float = setting(
         5.0, within=(0, 1e6), unit="s", off=0.0, addition="episodes that become longer during training"
     )
     """Time limit of episodes at first; 0 for episode_seconds throughout. Short episodes begin often, at every speed,
     and teach tracking sooner. It needs staggered_starts."""
-    episodes_grow_from: float = setting(0.15, within=(0, 1))
-    """Share of the run after which the time limit grows geometrically. Tracking is learned by then."""
-    episodes_grow_until: float = setting(0.5, within=(0, 1))
-    """Share of the run from which on it is episode_seconds. Before exploration is lowered: recovery is learned, too."""
+    episodes_grow_from: float = setting(0.03, within=(0, 1))
+    """Share of the run after which the time limit grows geometrically. Robots stay up for a few seconds by then."""
+    episodes_grow_until: float = setting(0.1, within=(0, 1))
+    """Share of the run from which on it is episode_seconds. With half of the run, fewer robots last a minute."""
     history_length: int = setting(10, within=(1, 1000))
     """H, control steps of history that the estimators read. 0.2 s, as in the paper."""
     staggered_starts: bool = setting(True, off=False, addition="episodes out of step")
