@@ -74,7 +74,7 @@ def test_resume_goes_on_where_the_run_stopped(run):
 
 def test_a_run_goes_on_here_wherever_its_policy_was(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr(collection, "_for_cpu_data", lambda policy, _: DeviceBridge(policy, "cpu").forward)
+        patch.setattr(collection, "_for_cpu_data", lambda policy, *_: DeviceBridge(policy, "cpu").forward)
         Trainer(make_config({**TINY, "total_frames": 2 * 64}), tmp_path / "there").train()
     Trainer(make_config({**TINY, "total_frames": 2 * 64}), tmp_path / "here").train()
     ends = []

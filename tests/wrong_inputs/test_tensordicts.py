@@ -128,7 +128,7 @@ def _action(value=0.0, size=12):
         (lambda g: g.with_transform(ObservationHistory(3, in_key="obs")), KeyError, "'obs'", "name one of these"),
         (lambda g: g.networks(spec={"history": Unbounded((2, 10, 45))}), ValueError, "(10, 45)", "must end with (H, "),
         (lambda g: g.networks(keys=NetworkKeys(observation="observe")), KeyError, "'observe'", "'observation'?"),
-        (lambda g: g.networks(estimator="gru"), UnknownNameError, "'gru'", "did you mean 'cnn_gru'?"),
+        (lambda g: g.networks(estimator="cnn-gru"), UnknownNameError, "'cnn-gru'", "did you mean 'cnn_gru'?"),
         (lambda g: Exploration(12, [0.1, 0.2]), ValueError, "got 2", "one value or 12"),
         (lambda g: g.networks(exploration=Exploration(2)), ValueError, "is of 2 actions", "give Exploration(12, ...)"),
         (lambda g: g.networks(critic_inputs=["odo"]), KeyError, "critic_inputs names 'odo'", "Leave it out, or add"),
