@@ -1,4 +1,4 @@
-"""What a bundle holds, that its policy is the run's, and how spoilt bundles are refused."""
+"""Contents of a bundle, equality of its policy with the run's, and refusal of spoilt bundles."""
 
 from __future__ import annotations
 

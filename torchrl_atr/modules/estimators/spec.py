@@ -1,4 +1,4 @@
-"""What an estimator is told when it is made: its role, sizes and the keys that it reads and writes."""
+"""Specification of an estimator: its role, sizes and the keys that it reads and writes."""
 
 from __future__ import annotations
 

@@ -125,7 +125,7 @@ class EstimatorModule(TensorDictModuleBase):
 
     @property
     def writes_scale(self) -> bool:
-        """Whether every estimate has a standard deviation."""
+        """True if every estimate has a standard deviation."""
         return all(key in self.out_keys for key in self.spec.scale_keys)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
