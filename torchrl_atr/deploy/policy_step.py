@@ -50,7 +50,7 @@ STATE = {"history": "next_history", "dead_reckoning": "next_dead_reckoning", "la
 
 @dataclass
 class _Sensed:
-    """Part of a step that the update of a memory term reads, of a :class:`~torchrl_atr.envs.tasks.context.StepContext`."""
+    """Part of a :class:`~torchrl_atr.envs.tasks.context.StepContext` that the update of a memory term reads."""
 
     memory: Mapping[str, Tensor]
     proprio: Mapping[str, Tensor]
