@@ -18,7 +18,7 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.bundles import export, verify
 from torchrl_atr.cli.compare import compare
 from torchrl_atr.cli.navigate import navigate
-from torchrl_atr.cli.printing import StepCounter, replay_head, replay_line
+from torchrl_atr.cli.printing import replay_head, replay_line, step_progress
 from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
 from torchrl_atr.deploy.manifest import is_bundle
 from torchrl_atr.listings import LISTINGS, settings_page
@@ -94,7 +94,6 @@ def evaluate(arguments: argparse.Namespace) -> None:
     """Run ``torchrl-atr evaluate``."""
     from functools import partial
 
-    from torchrl_atr._threads import TorchThreads
     from torchrl_atr.evaluation import run_figures
     from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
 
@@ -107,12 +106,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     if arguments.command_range != "apply":
         networks.command_range = None
     with folder_for(output):
-        with StepCounter("evaluating") as counter, TorchThreads(announce=counter.note) as threads:
-
-            def progress(done: int, total: int) -> None:
-                threads.update()
-                counter(done, total)
-
+        with step_progress("evaluating") as progress:
             chosen = {**DEPLOYMENT_OVERRIDES, **other, "randomization": arguments.randomization}
             if arguments.sensors is not None:
                 chosen["sensors"] = arguments.sensors

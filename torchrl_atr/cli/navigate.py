@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from torchrl_atr._files import folder_for, say, whole
-from torchrl_atr.cli.printing import StepCounter
+from torchrl_atr.cli.printing import step_progress
 
 _LINES = (
     ("success", "share at the goal"),
@@ -48,7 +48,6 @@ def add_navigate(parser: argparse.ArgumentParser, number_in: Any, seed: Any, pat
 def navigate(arguments: argparse.Namespace) -> None:
     """Run ``torchrl-atr navigate``."""
     from torchrl_atr._cpus import available_cpus
-    from torchrl_atr._threads import TorchThreads
     from torchrl_atr.navigation import PursuitConfig, load_map, plan_all, run_trips
     from torchrl_atr.navigation.places import draw_places
     from torchrl_atr.navigation.report import trip_metrics, write_trips
@@ -68,12 +67,7 @@ def navigate(arguments: argparse.Namespace) -> None:
         paths = plan_all(starts, available_cpus(), arguments.seed + 1, where=where, **asked)
         pursuit = PursuitConfig(speed=arguments.speed, max_yaw_rate=1.5 * arguments.yaw_rate)
         chosen = {**DEPLOYMENT_OVERRIDES, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
-        with StepCounter("riding") as counter, TorchThreads(announce=counter.note) as threads:
-
-            def progress(done: int, total: int) -> None:
-                threads.update()
-                counter(done, total)
-
+        with step_progress("riding") as progress:
             make = partial(make_env, config, **chosen)
             result = run_trips(
                 networks.deployed_policy(), make, paths, where, pursuit, seed=arguments.seed, progress=progress

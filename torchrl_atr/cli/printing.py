@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._files import say
@@ -67,6 +68,24 @@ class StepCounter:
 
     def __exit__(self, *exception: Any) -> None:
         self._end_line()
+
+
+@contextmanager
+def step_progress(what: str) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function of the steps done and in total that prints them, and adapts torch's threads to the machine.
+
+    Args:
+        what: name of the activity.
+    """
+    from torchrl_atr._threads import TorchThreads
+
+    with StepCounter(what) as counter, TorchThreads(announce=counter.note) as threads:
+
+        def progress(done: int, total: int) -> None:
+            threads.update()
+            counter(done, total)
+
+        yield progress
 
 
 def headlines(metrics: dict[str, Any]) -> Iterator[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from copy import deepcopy
 from typing import Any
 
 import torch
@@ -22,7 +21,7 @@ from torchrl_atr.modules.estimators import (
     get_estimator,
     require,
 )
-from torchrl_atr.modules.tensordict_checks import check_module
+from torchrl_atr.modules.tensordict_checks import check_copy, check_module
 
 
 def check_estimator(
@@ -130,7 +129,7 @@ def _check_all(net: nn.Module, twin: nn.Module, history_shape: tuple[int, int], 
     _check_gradients(net, history)
     _check_training(net, history)
     _check_state_dict(net, twin, history)
-    _check_copy(net, history)
+    check_copy(net, lambda each: each(history), torch.equal)
 
 
 def _check_outputs(net: nn.Module, history_shape: tuple[int, int], out_features: int) -> None:
@@ -248,24 +247,4 @@ def _check_state_dict(net: nn.Module, twin: nn.Module, history: Tensor) -> None:
         torch.equal(twin(history), net(history)),
         "state_dict",
         "a second instance with the same state_dict gives other outputs; register all state as parameters or buffers.",
-    )
-
-
-def _check_copy(net: nn.Module, history: Tensor) -> None:
-    out = net(history)
-    try:
-        copied = deepcopy(net)
-    except Exception as error:
-        raise failure(
-            "copy",
-            f"copy.deepcopy raised {type(error).__name__}: {first_line(error)}. Keep nothing that cannot be "
-            "copied, such as outputs of an earlier call with their graph.",
-        ) from error
-    with torch.no_grad():
-        for parameter in copied.parameters():
-            parameter.add_(1.0)
-    require(
-        torch.equal(net(history), out) and not torch.equal(copied(history), out),
-        "copy",
-        "a copy.deepcopy computes with the weights of the original; reach them through self alone.",
     )

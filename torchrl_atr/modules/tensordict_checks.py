@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from typing import Any
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.modules import set_recurrent_mode
 
 from torchrl_atr._errors import first_line
@@ -50,7 +50,7 @@ def check_module(net: TensorDictModuleBase, twin: TensorDictModuleBase, spec: Es
         "state_dict",
         "a second instance with the same state_dict gives other outputs; register all state as parameters or buffers.",
     )
-    _check_copy(module, data)
+    check_copy(module, lambda each: _estimates(each, data), _same)
 
 
 def _between_normalizers(net: TensorDictModuleBase, spec: EstimatorSpec) -> EstimatorModule:
@@ -233,8 +233,18 @@ def _check_gradients(module: EstimatorModule) -> None:
     )
 
 
-def _check_copy(module: EstimatorModule, data: TensorDictBase) -> None:
-    out = _estimates(module, data)
+def check_copy(module: nn.Module, compute: Callable[[Any], Any], same: Callable[[Any, Any], bool]) -> None:
+    """Check that a copy of an estimator has weights of its own.
+
+    Args:
+        module: the estimator.
+        compute: returns what it, or a copy, writes.
+        same: compares two such outputs.
+
+    Raises:
+        EstimatorError: if it cannot be copied, or a copy computes with the original's weights.
+    """
+    out = compute(module)
     try:
         copied = deepcopy(module)
     except Exception as error:
@@ -247,7 +257,7 @@ def _check_copy(module: EstimatorModule, data: TensorDictBase) -> None:
         for parameter in copied.parameters():
             parameter.add_(1.0)
     require(
-        _same(_estimates(module, data), out) and not _same(_estimates(copied, data), out),
+        same(compute(module), out) and not same(compute(copied), out),
         "copy",
         "a copy.deepcopy computes with the weights of the original; reach them through self alone.",
     )

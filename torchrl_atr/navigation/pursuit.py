@@ -62,6 +62,7 @@ class PurePursuit:
 
     Attributes:
         progress: index of the nearest point of each path, (n,).
+        distance: distance to it when it was last located, m, (n,).
 
     Raises:
         InputError: without a path.
@@ -79,7 +80,7 @@ class PurePursuit:
         self._last = np.array([len(path.points) - 1 for path in paths])
         longest = int(self._last.max()) + 1
         self._points = np.stack([np.pad(p.points, ((0, longest - len(p.points)), (0, 0)), mode="edge") for p in paths])
-        self.progress = np.zeros(len(paths), dtype=int)
+        self.progress, self.distance = np.zeros(len(paths), dtype=int), np.zeros(len(paths))
 
     @property
     def goals(self) -> Array:
@@ -97,7 +98,8 @@ class PurePursuit:
         distance = np.linalg.norm(near - poses[:, None, :2], axis=-1)
         best = distance.argmin(-1)
         self.progress = index[np.arange(len(best)), best]
-        return distance[np.arange(len(best)), best]
+        self.distance = distance[np.arange(len(best)), best]
+        return self.distance
 
     def command(self, poses: Array) -> Array:
         """Return the commands at poses x, y (m) and yaw (rad), (n, 3): c_v, m/s, and c_ω, rad/s, (n, 2)."""

@@ -15,6 +15,7 @@ from torchrl.envs import EnvBase
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.envs.tasks.rotations import euler_from_matrix, matrix_from_quaternion
 from torchrl_atr.evaluation.access import base_env, command_limits, command_owner
 from torchrl_atr.evaluation.ride import MakeEnv, RideStep, build_env, ride
 from torchrl_atr.navigation.energy import Energy, cost_of_transport, measure_power, robot_mass
@@ -92,8 +93,7 @@ def poses_of(env: EnvBase) -> Array:
         poses[:, :2] += base.engine.world_offset
         return poses.numpy()
     x = base.scene.layout.root_qpos
-    w, i, j, k = base.engine.qpos[:, x + 3 : x + 7].unbind(-1)
-    yaw = torch.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+    yaw = euler_from_matrix(matrix_from_quaternion(base.engine.qpos[:, x + 3 : x + 7]))[:, 2]
     places = base.engine.qpos[:, x : x + 2] + base.engine.world_offset
     return torch.cat([places, yaw.unsqueeze(-1)], -1).numpy()
 
@@ -151,7 +151,7 @@ class _TripLog:
         config: PursuitConfig,
         progress: Callable[[int, int], None] | None,
     ) -> None:
-        self.env, self.paths, self.where, self.progress = env, paths, where, progress
+        self.env, self.where, self.progress = env, where, progress
         self.pursuit, self.owner, self.footprint = PurePursuit(paths, config), command_owner(env), footprint_of(env)
         self.planned = np.array([path.length for path in paths])
         self.deadline = np.ceil(PATIENCE * self.planned / config.speed / CONTROL_DT).astype(int)
@@ -171,8 +171,7 @@ class _TripLog:
     def __call__(self, step: RideStep) -> None:
         active, poses = self.outcome == "", self._world()
         power = measure_power(self.env)
-        commands = self.pursuit.command(poses)
-        distance = self.pursuit.locate(poses)
+        commands, distance = self.pursuit.command(poses), self.pursuit.distance
         self.steps += active
         self.travelled += active * np.linalg.norm(poses[:, :2] - self.poses[:, :2], axis=-1)
         self.deviation += active * distance
