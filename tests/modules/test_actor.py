@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from torchrl_atr.modules import ActorBackbone, RunningNormalizer
-from torchrl_atr.modules.actor import PRODUCT_SCALE
+from torchrl_atr.modules.actor import INPUT_GAIN
 
 
 def backbone(input_products: list[tuple[int, int]] = (), **options) -> ActorBackbone:
@@ -24,15 +24,47 @@ def test_a_product_is_one_more_input_with_the_sign_of_both():
     x = torch.tensor([[0.0, 0.5, -2.0]])
     rest = torch.zeros(1, 1)
     mean = actor(x, rest, rest) + actor(-x, rest, rest) - 2 * actor(0 * x, rest, rest)
-    gated = PRODUCT_SCALE * torch.tanh(torch.tensor(0.5)) * -2.0
+    gated = INPUT_GAIN * torch.tanh(torch.tensor(0.5)) * -2.0
     expected = 2 * layer.weight[:, 3] * gated
     torch.testing.assert_close(mean[0], expected, rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("pair", [(0, 3), (-1, 0)])
 def test_products_beyond_the_observation_are_refused(pair):
-    with pytest.raises(ValueError, match="names entries beyond the observation's 3"):
+    with pytest.raises(ValueError, match=r"input_products=.* names entries beyond the 3 and 3"):
         backbone([pair])
+
+
+def test_an_error_is_one_more_input_in_si_units():
+    """Without hidden layers the mean is linear in its inputs: an error alone changes with where both numbers are."""
+    actor = backbone(input_errors=[(2, 0)])
+    (layer,) = [module for module in actor.net if isinstance(module, torch.nn.Linear)]
+    assert layer.in_features == 3 + 1 + 1 + 1
+    actor.observation_norm.mean.fill_(7.0)  # which moves the normalised observation, not the error
+    rest = torch.zeros(1, 1)
+
+    def mean_at(command: float, speed: float) -> torch.Tensor:
+        return actor(torch.tensor([[7.0, 7.0, command]]), rest, torch.tensor([[speed]]))[0]
+
+    far, at = mean_at(7.0, 7.3), mean_at(7.0, 7.0)
+    expected = layer.weight[:, 3] * INPUT_GAIN * torch.tanh(torch.tensor(0.6)) + layer.weight[:, 5] * 0.3
+    torch.testing.assert_close(far - at, expected, rtol=1e-3, atol=1e-5)
+
+
+@pytest.mark.parametrize("pair", [(3, 0), (0, 1), (-1, 0)])
+def test_errors_beyond_observation_and_state_are_refused(pair):
+    with pytest.raises(ValueError, match=r"input_errors=.* names entries beyond the 3 and 1"):
+        backbone(input_errors=[pair])
+
+
+def test_a_product_may_be_of_an_error():
+    actor = backbone([(0, 3)], input_errors=[(2, 0)])
+    (layer,) = [module for module in actor.net if isinstance(module, torch.nn.Linear)]
+    rest, speed = torch.zeros(1, 1), torch.tensor([[0.5]])
+    x = torch.tensor([[0.5, 0.0, 0.0]])
+    both = actor(x, rest, speed) - actor(x, rest, rest) - actor(0 * x, rest, speed) + actor(0 * x, rest, rest)
+    gated = INPUT_GAIN * torch.tanh(torch.tensor(0.5)) * torch.tanh(torch.tensor(1.0))
+    torch.testing.assert_close(both[0], layer.weight[:, 4] * gated, rtol=1e-4, atol=1e-6)
 
 
 def test_an_output_moves_the_mean_along_its_row_of_the_map():

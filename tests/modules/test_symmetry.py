@@ -48,7 +48,8 @@ def networks(**options):
         "output_map": hadamard_leg_basis().T,
         **options,
     }
-    nets = make_networks(SPEC, Unbounded((12,)), input_products=[(3, 4)], reflections=MIRROR, **options)
+    inputs = {"input_products": [(3, 4), (3, 5)], "input_errors": [(2, 2)]}
+    nets = make_networks(SPEC, Unbounded((12,)), **inputs, reflections=MIRROR, **options)
     data = SPEC.expand(64).rand()
     data["observation"] += torch.tensor([3.0, 0.0, 1.0, 0.0, -1.0])  # no symmetric statistics of their own
     nets.update_normalizers(data)
@@ -218,6 +219,11 @@ def test_a_product_of_what_changes_places_is_refused(pair):
             input_products=[pair],
             reflection=MIRROR["action"],
         )
+
+
+def test_an_error_between_unlike_mirror_images_is_refused():
+    with pytest.raises(ValueError, match="input_errors pair entries of unlike mirror images"):
+        make_networks(SPEC, Unbounded((12,)), input_errors=[(3, 2)], reflections=MIRROR)
 
 
 def test_odd_widths_are_refused():

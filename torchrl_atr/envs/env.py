@@ -147,6 +147,13 @@ class QuadrupedEnv(EnvBase):
         return self._emitted.get("speeds", None)
 
     @property
+    def followed(self) -> tuple[int, ...]:
+        """Indices of the components of the extrinsic state that follow the command; empty where the task names none."""
+        followed = self.task.command.followed_by
+        names = self.runner.terms.observations.names(("privileged", "extrinsic")) if followed else []
+        return tuple(map(names.index, followed))
+
+    @property
     def reflections(self) -> dict[NestedKey, Tensor]:
         """Matrices R, (D, D), by key, that map an entry x to its mirror image R x; the action's too.
 

@@ -16,8 +16,10 @@ from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
 from torchrl_atr.modules.symmetry import check_reflection, halves_swapped, join_reflections, make_mlp
 
-PRODUCT_SCALE = 4.0
-"""Factor of product inputs: Adam's steps are alike for all weights, so a larger input is learned faster."""
+INPUT_GAIN = 4.0
+"""Factor of product and error inputs: Adam's steps are alike for all weights, so a larger input is learned faster."""
+ERROR_SCALE = 0.5
+"""Error at which an error input is tanh(1), in the units of the command; that of the tracking rewards' kernel."""
 
 
 class ActorBackbone(nn.Module):
@@ -32,9 +34,12 @@ class ActorBackbone(nn.Module):
         action_features (int): number of actions, A.
         cells (sequence of int): hidden widths. Defaults to ``(512, 256, 128)``.
         input_products (sequence of pairs of int): for every ``(i, j)`` the network also reads ``tanh(x_i) * x_j`` of
-            the normalised observation x, times :data:`PRODUCT_SCALE`. A board turns by the product of two tilts, so
+            the normalised observation x, times :data:`INPUT_GAIN`. A board turns by the product of two tilts, so
             the lean for a yaw command changes sign with the speed command: an exclusive-or, which has no
-            gradient at first.
+            gradient at first. Indices from O on are those of the errors below.
+        input_errors (sequence of pairs of int): for every ``(i, j)`` the network also reads
+            ``tanh((s_j - o_i) / 0.5)`` of observation o and extrinsic state s in SI units, times :data:`INPUT_GAIN`:
+            how far component j is from the command in component i.
         reflection (Tensor, optional): of the action, (A, A). The mean action of a mirrored robot is then the mirrored
             mean action; both normalisers need a reflection, and the latent's is a swap of its halves, as
             :class:`~torchrl_atr.modules.IntrinsicEncoder` makes it.
@@ -46,9 +51,9 @@ class ActorBackbone(nn.Module):
             False.
 
     Raises:
-        ValueError: for a product of entries that the observation does not have, for an output map of another size or
-            without an inverse, and for an invalid reflection, or one that does not map each product, and each row of
-            the output map, to plus or minus one of them.
+        ValueError: for a product or an error of entries that do not exist, for an output map of another size or
+            without an inverse, and for an invalid reflection, or one that does not map each product and error, and each
+            row of the output map, to plus or minus one of them.
 
     Example:
         >>> import torch
@@ -59,6 +64,8 @@ class ActorBackbone(nn.Module):
 
     _gates: Tensor
     _gated: Tensor
+    _commanded: Tensor
+    _followed: Tensor
     output_map: Tensor | None
 
     def __init__(
@@ -72,21 +79,23 @@ class ActorBackbone(nn.Module):
         reflection: Tensor | None = None,
         output_map: Tensor | None = None,
         reads_scale: bool = False,
+        input_errors: Sequence[tuple[int, int]] = (),
     ) -> None:
         super().__init__()
-        size = observation_norm.shape.numel()
-        if any(not 0 <= index < size for pair in input_products for index in pair):
-            raise ValueError(f"input_products={list(input_products)} names entries beyond the observation's {size}.")
-        pairs = torch.tensor(input_products, dtype=torch.long).reshape(-1, 2)
-        self.register_buffer("_gates", pairs[:, 0], persistent=False)  # on the device: lists would be copied there
-        self.register_buffer("_gated", pairs[:, 1], persistent=False)
+        size, states = observation_norm.shape.numel(), extrinsic_norm.shape.numel()
+        _check_pairs("input_errors", input_errors, size, states)
+        _check_pairs("input_products", input_products, *[size + len(input_errors)] * 2)
+        for names, chosen in (("_gates", "_gated"), input_products), (("_commanded", "_followed"), input_errors):
+            pairs = torch.tensor(chosen, dtype=torch.long).reshape(-1, 2)
+            for name, indices in zip(names, pairs.T):  # buffers are on the device: lists would be copied there
+                self.register_buffer(name, indices.contiguous(), persistent=False)
         output_map = None if output_map is None else _check_output_map(output_map, action_features)
         self.register_buffer("output_map", output_map)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
         self.reads_scale = reads_scale
-        estimated = latent_features + extrinsic_norm.shape.numel()
-        in_features = size + len(input_products) + (2 if reads_scale else 1) * estimated
+        estimated = latent_features + states
+        in_features = size + len(input_errors) + len(input_products) + (2 if reads_scale else 1) * estimated
         reflections = None
         if reflection is not None:
             mirror = check_reflection(reflection, action_features, "the action's reflection")
@@ -96,11 +105,15 @@ class ActorBackbone(nn.Module):
 
     def _input_reflection(self, latent_features: int) -> Tensor:
         observation = join_reflections(self.observation_norm.reflection)
-        signs = observation.diagonal()
-        products = torch.diag(signs[self._gates] * signs[self._gated])
-        estimated = join_reflections(halves_swapped(latent_features), self.extrinsic_norm.reflection)
+        extrinsic = join_reflections(self.extrinsic_norm.reflection)
+        errors = observation.diagonal()[self._commanded]
+        if not torch.equal(errors, extrinsic.diagonal()[self._followed]):
+            raise ValueError("input_errors pair entries of unlike mirror images")
+        signs = torch.cat([observation.diagonal(), errors])
+        products = signs[self._gates] * signs[self._gated]
+        estimated = join_reflections(halves_swapped(latent_features), extrinsic)
         scales = [estimated.abs()] * self.reads_scale  # standard deviations change places, never signs
-        return join_reflections(observation, products, estimated, *scales)
+        return join_reflections(observation, torch.diag(errors), torch.diag(products), estimated, *scales)
 
     def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor, *scales: Tensor) -> Tensor:
         """Return the mean action (*B, A) from (*B, O), (*B, L) and (*B, E), raw, in SI units.
@@ -108,13 +121,20 @@ class ActorBackbone(nn.Module):
         With ``reads_scale`` the standard deviations of latent and extrinsic state follow, in the same units.
         """
         x = self.observation_norm(observation)
-        products = PRODUCT_SCALE * x[..., self._gates].tanh() * x[..., self._gated]
-        read = [x, products, intrinsic, self.extrinsic_norm(extrinsic)]
+        errors = ((extrinsic[..., self._followed] - observation[..., self._commanded]) / ERROR_SCALE).tanh()
+        factors = torch.cat([x, errors], -1)
+        products = factors[..., self._gates].tanh() * factors[..., self._gated]
+        read = [x, INPUT_GAIN * errors, INPUT_GAIN * products, intrinsic, self.extrinsic_norm(extrinsic)]
         if self.reads_scale:
             intrinsic_scale, extrinsic_scale = scales
             read += [intrinsic_scale, extrinsic_scale / self.extrinsic_norm.std]
         outputs = self.net(torch.cat(read, -1))
         return outputs if self.output_map is None else outputs @ self.output_map
+
+
+def _check_pairs(name: str, pairs: Sequence[tuple[int, int]], *sizes: int) -> None:
+    if any(not 0 <= index < size for pair in pairs for index, size in zip(pair, sizes, strict=True)):
+        raise ValueError(f"{name}={list(pairs)} names entries beyond the {sizes[0]} and {sizes[1]} that there are.")
 
 
 def _check_output_map(output_map: Tensor, actions: int) -> Tensor:

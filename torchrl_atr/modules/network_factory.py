@@ -46,6 +46,7 @@ def make_networks(
     encoder_cells: Sequence[int] = (128, 64),
     actor_cells: Sequence[int] = (512, 256, 128),
     input_products: Sequence[tuple[int, int]] = (),
+    input_errors: Sequence[tuple[int, int]] = (),
     output_map: Tensor | None = None,
     exploration: Exploration | None = None,
     critic_cells: Sequence[int] = (512, 256, 128),
@@ -72,6 +73,7 @@ def make_networks(
         encoder_cells (sequence of int): hidden widths of the encoder.
         actor_cells (sequence of int): hidden widths of the actor.
         input_products (sequence of pairs of int): see :class:`~torchrl_atr.modules.ActorBackbone`.
+        input_errors (sequence of pairs of int): the same.
         output_map (Tensor, optional): see :class:`~torchrl_atr.modules.ActorBackbone`.
         exploration (Exploration, optional): of as many actions; it becomes part of the networks, in their dtype.
             None, the default, is ``Exploration(A)``.
@@ -142,6 +144,7 @@ def make_networks(
             mirror(keys.action),
             output_map,
             actor_reads_scale,
+            input_errors,
         )
         critic = AsymmetricCritic(
             obs_norm,

@@ -128,7 +128,7 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
         ConfigError: if a setting asks for an entry that the env does not have.
     """
     spec = env.observation_spec
-    size = spec["observation"].shape[-1]  # the command is the end of o_t
+    products, errors = _command_inputs(config, env)
     exploration, output_map = _exploration(config.exploration, env.action_spec.shape[-1])
     return make_networks(
         spec,
@@ -138,7 +138,8 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
         estimator_inputs=_estimator_inputs(config, spec),
         shared_estimator=config.estimator.shared,
         actor_reads_scale=config.estimator.actor_reads_scale,
-        input_products=[(size - 2, size - 1)] if config.ppo.command_interaction else [],
+        input_products=products,
+        input_errors=errors,
         latent_features=config.roa.latent_features,
         encoder_cells=config.roa.encoder_cells,
         output_map=output_map,
@@ -151,6 +152,16 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
         else [],
         reflections=env.base_env.reflections if config.ppo.symmetric else None,
     )
+
+
+def _command_inputs(config: TrainConfig, env: TransformedEnv) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
+    """Return the products and the errors that the actor reads, see :class:`~torchrl_atr.modules.ActorBackbone`."""
+    size = env.observation_spec["observation"].shape[-1]  # the command is the end of o_t
+    speed, yaw_rate = size - 2, size - 1
+    products = [(speed, yaw_rate)] if config.ppo.command_interaction else []
+    followed = env.base_env.followed if config.ppo.tracking_errors else ()
+    errors = list(zip((speed, yaw_rate), followed))
+    return products + [(speed, size + 1)] * bool(products and errors), errors
 
 
 def _exploration(config: ExplorationConfig, actions: int) -> tuple[Exploration, Tensor | None]:

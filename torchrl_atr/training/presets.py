@@ -50,6 +50,7 @@ TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
         "ppo.entropy_coeff": 0.01,
         "ppo.smoothness_coeff": 0.0,
         "ppo.command_interaction": False,
+        "ppo.tracking_errors": False,
         "estimator.dead_reckoning": False,
     },
 }

@@ -35,6 +35,9 @@ _NEEDED = (
 )
 """Entries of a checkpoint that every reader of a run needs."""
 
+_SINCE = {("ppo", "tracking_errors"): False}
+"""Settings that change the networks and that older runs lack, with what those runs did."""
+
 
 def check_entries(state: Mapping[str, Any], run: Path) -> None:
     """Raise a :class:`CheckpointError` if a checkpoint lacks an entry that every reader of a run needs."""
@@ -82,6 +85,9 @@ def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] =
     """
     check_entries(state, run)
     settings = located_settings(state["config"], run.parent if run.is_file() else run)
+    for (group, name), value in _SINCE.items():
+        if isinstance(settings.get(group), dict):
+            settings[group] = {name: value, **settings[group]}
     imported = list(imports)
     try:
         import_modules(imports)

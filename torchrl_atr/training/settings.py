@@ -206,6 +206,9 @@ class PPOConfig(Settings):
     command_interaction: bool = setting(True, off=False, addition="product of the commands as an input")
     """Let the actor also read tanh(c_v) c_ω. The lean that turns changes sign with the speed command (Eq. 3), an
     exclusive-or that gradients find late."""
+    tracking_errors: bool = setting(True, off=False, addition="tracking errors as inputs of the actor")
+    """Let the actor also read tanh(e / 0.5) of both tracking errors, by its estimates, and tanh(c_v) times the yaw
+    rate's. Networks that read speeds and commands over metres a second find a difference of 0.3 m/s late."""
     actor_cells: tuple[int, ...] = setting((512, 256, 128), within=(1, 1e5))
     """Hidden widths of the actor. Table I."""
     critic_cells: tuple[int, ...] = setting((256, 128, 64), within=(1, 1e5), paper=(512, 256, 128))

@@ -37,6 +37,8 @@ class CommandSpace:
         grid: from which a curriculum draws them, and its bounds; None for a command that only your own transforms
             draw.
         mirror: its mirror image, which symmetric networks need.
+        followed_by: names of the components of the extrinsic state that follow it, such as ``platform_velocity[0]``,
+            one for each component; empty if the extrinsic state has no such components.
 
     Raises:
         InputError: if names or units are not tuples of strings of one length.
@@ -50,6 +52,7 @@ class CommandSpace:
     units: tuple[str, ...]
     grid: CommandGrid | None = None
     mirror: Mirror | None = None
+    followed_by: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         check_components(self.names, self.units)

@@ -36,6 +36,7 @@ COMMANDS = CommandSpace(
     units=("m/s", "rad/s"),
     grid=CommandGrid(),
     mirror=mirrors.FORWARD_YAW,
+    followed_by=("platform_velocity[0]", "platform_angular_velocity[2]"),
 )
 """(c_v, c_ω)."""
 
