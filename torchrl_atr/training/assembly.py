@@ -47,7 +47,7 @@ LOADING_OVERRIDES: dict[str, Any] = {
     "compact_storage": False,
 }
 """Env arguments of a run that is loaded, not trained: there may be no compiler."""
-TASK_OVERRIDES: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "drifted_start": 0.0, "pushes": False}
+TASK_OVERRIDES: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "pushes": False}
 """Arguments of a task's function that turn off what belongs to training only."""
 DEPLOYMENT_OVERRIDES: dict[str, Any] = {
     **LOADING_OVERRIDES,
@@ -108,7 +108,7 @@ def _time_limit_growth(config: TrainConfig) -> TimeLimitGrowth | None:
     if not 0 < first < config.env.episode_seconds or not config.env.staggered_starts:
         return None
     begin, end = round(config.env.episodes_grow_from * steps), round(config.env.episodes_grow_until * steps)
-    return TimeLimitGrowth(max(1, round(first / CONTROL_DT)), begin, end)
+    return TimeLimitGrowth(max(1, round(first / CONTROL_DT)), begin, end, config.env.short_episodes)
 
 
 def _widened(grid: CommandGrid | None, other: CommandGrid | None) -> CommandGrid | None:

@@ -52,11 +52,11 @@ def riding(
     gains: Gains | None = None,
     moving_start: float = 0.0,
     displaced_start: float = 0.0,
-    drifted_start: float = 0.0,
     rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     steering_weight_peak: float = 1.0,
     steering_weight_end: float = 1.0,
     steering_weight_peak_at: float = 1.0,
+    fall_weight: float = 1.0,
 ) -> Task:
     """Return the riding task: a robot on a transporter follows a forward speed and a yaw rate.
 
@@ -73,14 +73,13 @@ def riding(
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
             pushes (for training).
-        drifted_start: share of the episodes whose dead-reckoned velocity starts with an error of up to metres a second,
-            as after minutes without a turn (for training).
         rewards: the terms of the reward by name.
         steering_weight_peak: factor of r1 in the learner's reward, at its peak: it rises from 1 until
             ``steering_weight_peak_at``. The reward of a turn comes later and with more noise than that of a speed: once
             speeds are tracked, it may have a larger weight.
         steering_weight_end: the factor that it falls to from there until training ends, so that fewer robots fall.
         steering_weight_peak_at: share of the training, in (0, 1].
+        fall_weight: factor of r17, early termination, in the learner's reward.
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
@@ -94,8 +93,7 @@ def riding(
     pushed = Pushes.of(pushes)
     moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
     displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
-    drifted_start = check_number("drifted_start", drifted_start, 0.0, 1.0)
-    dead_reckoned, velocity = dead_reckoning(velocity_filter, drifted=drifted_start)
+    dead_reckoned, velocity = dead_reckoning(velocity_filter)
     interpretation = get_interpretation(profile)
     rider = with_gains(get_robot(robot), gains)
     spec = get_transporter(transporter, rider)
@@ -115,7 +113,10 @@ def riding(
         state_extractor=RidingStateExtractor,
         substep_hook=DriveHook,
         interpretation=interpretation,
-        reward_schedule=_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),
+        reward_schedule={
+            **_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),
+            **_constant("termination", check_number("fall_weight", fall_weight, 0.0)),
+        },
         arguments={"robot": describe_robot(robot), "transporter": describe_transporter(spec), **gain_arguments(gains)},
     )
 
@@ -126,3 +127,7 @@ def _steering_schedule(peak: float, end: float, peak_at: float) -> dict[str, Cal
     if peak == end == 1.0:
         return {}
     return {"steering_command": partial(np.interp, xp=(0.0, peak_at, 1.0), fp=(1.0, peak, end))}
+
+
+def _constant(term: str, weight: float) -> dict[str, Callable[[float], float]]:
+    return {} if weight == 1.0 else {term: partial(np.interp, xp=(0.0, 1.0), fp=(weight, weight))}
