@@ -21,6 +21,7 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS
+from torchrl_atr.envs.tasks.support_tilt import PITCH
 from torchrl_atr.envs.transforms import CommandGrid, TimeLimitGrowth
 from torchrl_atr.modules import (
     Exploration,
@@ -158,10 +159,14 @@ def _command_inputs(config: TrainConfig, env: TransformedEnv) -> tuple[list[tupl
     """Return the products and the errors that the actor reads, see :class:`~torchrl_atr.modules.ActorBackbone`."""
     size = env.observation_spec["observation"].shape[-1]  # the command is the end of o_t
     speed, yaw_rate = size - 2, size - 1
-    products = [(speed, yaw_rate)] if config.ppo.command_interaction else []
     followed = env.base_env.followed if config.ppo.tracking_errors else ()
     errors = list(zip((speed, yaw_rate), followed))
-    return products + [(speed, size + 1)] * bool(products and errors), errors
+    gates = [speed] if config.ppo.command_interaction else []
+    observed = env.base_env.runner.terms.observations.names("proprio")
+    if gates and PITCH in observed:
+        gates.append(observed.index(PITCH))
+    turns = [yaw_rate] + [size + 1] * bool(errors)
+    return [(gate, turn) for gate in gates for turn in turns], errors
 
 
 def _exploration(config: ExplorationConfig, actions: int) -> tuple[Exploration, Tensor | None]:

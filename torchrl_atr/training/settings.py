@@ -74,6 +74,9 @@ class TaskConfig(Settings):
     velocity_filter: str = setting("kalman_filter")
     """Riding only: how the dead-reckoned velocity is computed: integral, leaky_integral or kalman_filter. Of these the
     Kalman filter alone stays within 0.2 m/s for a minute with realistic sensors."""
+    observe_tilt: bool = setting(True, off=False, addition="tilt of the board by leg kinematics")
+    """Riding only: let the robot observe the tilt of its feet's plane, by its legs' angles and its IMU. A third of a
+    degree, 2 mm at a foot, drives a board at 0.2 m/s, and the sign of its pitch decides how roll turns it."""
     kp: float = setting(0.0, within=(0, 1e5), unit="N m/rad")
     """Nominal stiffness of the joints' PD controllers; 0 for the robot's own."""
     kd: float = setting(0.0, within=(0, 1e5), unit="N m s/rad")

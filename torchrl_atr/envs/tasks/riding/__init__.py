@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchrl_atr._checks import check_number
+from torchrl_atr._checks import check_flag, check_number
 from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import RobotSpec, Transporter, TransporterSpec, get_robot, get_transporter
 from torchrl_atr.envs.models.robot_file import describe_robot
@@ -26,6 +26,7 @@ from torchrl_atr.envs.tasks.riding.resets import TERMINATIONS, push, start
 from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS
 from torchrl_atr.envs.tasks.riding.state import RidingStateExtractor
 from torchrl_atr.envs.tasks.sensors import SensorSet, with_sensors
+from torchrl_atr.envs.tasks.support_tilt import NAME, support_tilt
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
 from torchrl_atr.envs.transforms.grid import CommandGrid
 
@@ -48,6 +49,7 @@ def riding(
     profile: str | Interpretation = "default",
     sensors: str | SensorSet = "ideal",
     velocity_filter: str = "kalman_filter",
+    observe_tilt: bool = False,
     pushes: bool | Pushes = True,
     gains: Gains | None = None,
     moving_start: float = 0.0,
@@ -68,6 +70,8 @@ def riding(
         sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or your own.
         velocity_filter: method of ``dead_reckoned_velocity``, a name of
             :data:`~torchrl_atr.envs.tasks.dead_reckoning.METHODS`.
+        observe_tilt: whether the observation has the tilt of the feet's plane
+            (:mod:`~torchrl_atr.envs.tasks.support_tilt`).
         pushes: whether robot and transporter are pushed, every 3 s, or the sizes and interval.
         gains: nominal PD gains, see :data:`~torchrl_atr.envs.tasks.parameters.Gains`; None for the robot's own.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
@@ -97,12 +101,13 @@ def riding(
     interpretation = get_interpretation(profile)
     rider = with_gains(get_robot(robot), gains)
     spec = get_transporter(transporter, rider)
+    tilt = {NAME: support_tilt(rider)} if check_flag("observe_tilt", observe_tilt) else {}
     return Task(
         name="riding",
         robot=rider,
         support=Transporter(spec, interpretation),
         command=COMMANDS,
-        observations=observations(interpretation, with_sensors(PROPRIO, sensors), dead_reckoned),
+        observations=observations(interpretation, {**with_sensors(PROPRIO, sensors), **tilt}, dead_reckoned),
         rewards=rewards,
         intrinsics=riding_intrinsics(rider, spec, interpretation),
         terminations=TERMINATIONS,
