@@ -8,11 +8,12 @@ import functools
 import inspect
 import itertools
 import numbers
+import operator
 import textwrap
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, cast
 
 import numpy as np
 
@@ -51,7 +52,8 @@ class Setting:
 
     def value_in(self, preset: str) -> Any:
         """Return its value in a preset."""
-        return self.presets.get(preset, self.presets.get("off", self.default) if preset != "default" else self.default)
+        otherwise = self.default if preset == "default" else self.presets.get("off", self.default)
+        return self.presets.get(preset, otherwise)
 
     @property
     def range(self) -> str:
@@ -122,8 +124,11 @@ def _settings(kind: Any, prefix: str = "") -> dict[str, Setting]:
             own = field.metadata["setting"]
             text = _texts(kind).get(name, "")
             found[path] = dataclasses.replace(own, path=path, default=_default(field), kind=hint, text=text)
-        else:
-            found |= _settings(hint, path)
+        else:  # a group may have other defaults in a configuration than elsewhere
+            group = cast(Callable[[], Any], field.default_factory)()
+            for below, each in _settings(hint, path).items():
+                default = operator.attrgetter(below.removeprefix(f"{path}."))(group)
+                found[below] = dataclasses.replace(each, default=default)
     return found
 
 

@@ -28,6 +28,7 @@ ADDITIONS = {  # setting and the value that turns it off, kept apart from the de
     "task.displaced_start": 0.0,
     "task.steering_weight_peak": 1.0,
     "task.fall_weight": 1.0,
+    "task.pushes.interval": 3.0,
     "task.interpretation.coulomb_smoothing": 0.0,
     "task.interpretation.driven_smoothness": False,
     "curriculum.score_from_seconds": 0.0,

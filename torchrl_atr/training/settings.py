@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 from torchrl_atr._settings import Settings, setting
@@ -99,7 +100,7 @@ class TaskConfig(Settings):
     """Weights of reward terms, by name, in place of the task's own: `list rewards`."""
     randomization: dict[str, Ranges] = setting({}, within=(-1e6, 1e6))
     """Ranges of intrinsic parameters, by name, in place of the task's own."""
-    pushes: Pushes = field(default_factory=Pushes)
+    pushes: Pushes = field(default_factory=partial(Pushes, interval=2.0, robot=0.6, speed=0.6, yaw_rate=0.3))
     interpretation: Interpretation = field(default_factory=Interpretation)
 
 
@@ -124,10 +125,10 @@ class CurriculumConfig(Settings):
     """Half width of the first command box; 0 for all of it. A wider first box, for runs of an hour."""
     initial_yaw_rate: float = setting(0.3, within=(0, MAX_YAW_RATE), unit="rad/s", paper=0.3)
     """Half width of the first command box; 0 for all of it. As in the paper."""
-    max_speed: float = setting(5.0, within=(0, MAX_SPEED), unit="m/s", off=0.0, addition="a box of commands")
+    max_speed: float = setting(3.0, within=(0, MAX_SPEED), unit="m/s", off=0.0, addition="a box of commands")
     """Half width of the box that commands never leave, a multiple of the task's bins (riding: 0.2); 0 for the task's
-    own. Runs of two hours do not learn faster commands."""
-    max_yaw_rate: float = setting(1.4, within=(0, MAX_YAW_RATE), unit="rad/s", off=0.0)
+    own. Larger boxes cost precision: an hour is short."""
+    max_yaw_rate: float = setting(1.2, within=(0, MAX_YAW_RATE), unit="rad/s", off=0.0)
     """Half width of the box that commands never leave, likewise."""
 
 
