@@ -23,7 +23,7 @@ from benchmarks import results
 from torchrl_atr import envs
 from torchrl_atr._files import say
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.envs.tasks import Task, riding
+from torchrl_atr.envs.tasks import Task
 from torchrl_atr.envs.tasks.dead_reckoning import METHODS, dead_reckoning
 from torchrl_atr.envs.tasks.sensors import SENSORS
 from torchrl_atr.evaluation.access import deterministic
@@ -74,10 +74,9 @@ def with_every_method(task: Task) -> Task:
 
 def record(run: Path, sensors: str, robots: int, seconds: float, seed: int) -> Rides:
     """Ride commands within ±2 m/s and ±1 rad/s that change every 5 s, with pushes, and record the observations."""
-    _, loaded, networks, _ = load_run(run, num_envs=1)
+    config, loaded, networks, _ = load_run(run, num_envs=1)
     loaded.close()
-    spec = loaded.base_env.task.arguments
-    task = with_every_method(riding(spec["robot"], spec["transporter"], sensors=sensors))
+    task = with_every_method(config.make_task(sensors=sensors, moving_start=0.0, displaced_start=0.0, pushes=True))
     env = envs.make_env(task, robots, max_steps=2**31 - 1, seed=seed)
     generator = torch.Generator().manual_seed(seed)
     count = round(seconds / COMMAND_SECONDS)
