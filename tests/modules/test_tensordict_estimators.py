@@ -22,10 +22,11 @@ from torchrl_atr.modules import (
 from torchrl_atr.modules.checks import check_for
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.modules.estimators.self_supervised import balanced_assignment
+from torchrl_atr.objectives import regression
 
 SHAPE, OUT = (6, 5), 3
 ROLES = ["intrinsic", "extrinsic", "both"]
-NAMES = ["mlp", "cnn_gru", "tcn", "transformer", "gru", "gaussian", "variational", "contrastive"]
+NAMES = ["mlp", "cnn_gru", "tcn", "transformer", "gru", "gaussian", "ensemble", "variational", "contrastive"]
 
 
 @pytest.mark.parametrize("role", ROLES)
@@ -146,6 +147,32 @@ def test_estimates_and_scales_are_in_the_units_of_the_target():
     wanted["estimate", "extrinsic_scale"] = raw["estimate", "extrinsic_scale"] * unit.std
     for key in [*spec.estimate_keys, *spec.scale_keys]:  # an untrained normaliser divides by sqrt(1 + eps)
         torch.testing.assert_close(out[key], wanted[key], atol=1e-3, rtol=1e-3)
+
+
+def test_an_ensemble_is_surer_where_it_was_trained():
+    torch.manual_seed(0)
+    spec = EstimatorSpec("extrinsic", (2, 1), {"extrinsic": 1})
+    ensemble = get_estimator("ensemble")(spec, members=4, cells=[32, 32])
+    optimizer = torch.optim.Adam(ensemble.parameters(), 1e-2)
+    for _ in range(400):
+        history = torch.rand(128, 2, 1) * 2 - 1
+        target = torch.sin(3 * history[:, 1]) + 0.1 * torch.randn(128, 1)
+        out = ensemble(TensorDict(history=history, batch_size=[128]))
+        mean, scale = out["estimate", "extrinsic"], out["estimate", "extrinsic_scale"]
+        loss, _, calibration = regression(mean, target, scale=scale)
+        optimizer.zero_grad()
+        loss.mean().backward()
+        optimizer.step()
+    scale = scale.detach()
+    assert 0.7 < float(calibration) < 1.4
+    assert float(scale.mean()) == pytest.approx(0.1, rel=0.5)  # the noise, which no member can know
+    elsewhere = ensemble(TensorDict(history=torch.full((1, 2, 1), 5.0), batch_size=[1]))
+    assert float(elsewhere["estimate", "extrinsic_scale"]) > 5 * float(scale.mean())
+
+
+def test_an_ensemble_has_members():
+    with pytest.raises(ValueError, match="members=1: choose a whole number, 2 or more"):
+        get_estimator("ensemble")(EstimatorSpec("extrinsic", SHAPE, {"extrinsic": OUT}), members=1)
 
 
 def test_a_recurrent_estimator_reads_no_history_and_what_it_writes_is_declared():

@@ -10,6 +10,8 @@ from importlib.util import find_spec
 import pytest
 import torch
 
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs import reconfigure
 from torchrl_atr.modules import with_correlated_noise
 from torchrl_atr.training import ConfigError, Learner, make_config, make_env, make_run_networks
 from torchrl_atr.training.collection import Collection, CollectionError
@@ -20,8 +22,16 @@ needs_ray = pytest.param(
 TINY = {"env.num_envs": 8, "ppo.rollout_steps": 4, "ppo.minibatches": 1, "compute.num_threads": 1, "compute.workers": 2}
 
 
+SHORT = {
+    "env.episode_seconds": 0.2,
+    "env.first_episode_seconds": 0.0,
+    "curriculum.command_seconds": 0.1,
+    "curriculum.score_from_seconds": 0.0,
+}
+
+
 def start(collector):
-    config = make_config({**TINY, "compute.collector": collector})
+    config = make_config({**TINY, **SHORT, "compute.collector": collector})
     torch.manual_seed(0)
     env = make_env(config)
     networks = make_run_networks(config, env)
@@ -56,8 +66,33 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
         intrinsics = batch["privileged", "intrinsic"][:, 0]
         assert len(torch.unique(intrinsics, dim=0)) == 8
         assert collection.num_diverged == (0 if collection.callable or not collection.remote else None)
+        envs_change_while_they_run(collection)
     finally:
         collection.shutdown()
+
+
+def envs_change_while_they_run(collection):
+    """Every robot's next episode has the new intrinsics and command; a name or a value that does not fit changes none.
+
+    Part of the test above, as workers take seconds to start.
+    """
+    if collection.remote and not collection.callable:
+        with pytest.raises(InputError, match="collector='distributed' cannot call its workers; use process or ray"):
+            collection.reconfigure(randomization="off")
+        return
+    collection.reconfigure(randomization={"payload": (0.25, 0.25)}, command_bounds=(0.4, 0.2), sensors="realistic")
+    for wrong in ({"randomizatoin": "off"}, {"randomization": {"payload": (9.0, 1.0)}}):
+        with pytest.raises(InputError, match="randomization"):
+            reconfigure(collection.collector, **wrong)  # asks the workers
+        with pytest.raises(InputError, match="randomization"):
+            collection.reconfigure(**wrong)
+    columns = collection.env.base_env.runner.intrinsics.slices["payload"]
+    scaled = collection.env.base_env.task.intrinsics["payload"].scaled(0.25)
+    for _ in range(2 * 10 // 4 + 1):  # steps of two episodes / those of a batch
+        batch = collection.collect()
+    payload = batch["privileged", "intrinsic"][..., columns]
+    torch.testing.assert_close(payload, torch.full_like(payload, scaled))
+    assert bool((batch["command"].abs() <= torch.tensor([0.4, 0.2])).all())
 
 
 def test_an_older_checkpoint_carries_reward_terms_no_further():

@@ -43,11 +43,12 @@ BOX = {
     "transformer": {"features": 4, "heads": 2, "layers": 1},
     "gru": {"features": 4, "cells": [4]},
     "gaussian": {"trunk": "mlp", "features": 4},
+    "ensemble": {"members": 2, "cells": [4]},
     "variational": {"trunk": "mlp", "features": 4, "code": 2},
     "contrastive": {"trunk": "mlp", "features": 4, "embedding": 3, "prototypes": 4},
 }
 ALL = [*BOX, *KINDS]
-WITH_SCALE = ["gaussian", "unsure"]
+WITH_SCALE = ["gaussian", "ensemble", "unsure"]
 SOURCES = ["privileged", "estimated", "mixed"]
 
 

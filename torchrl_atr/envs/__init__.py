@@ -20,6 +20,7 @@ from torchrl_atr.envs.models import (
 )
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardError, RewardTerm, Task, make_task, riding, walking
+from torchrl_atr.envs.workers import reconfigure
 
 __all__ = [
     "PROFILES",
@@ -46,6 +47,7 @@ __all__ = [
     "make_task",
     "read_robot",
     "read_transporter",
+    "reconfigure",
     "register_robot",
     "riding",
     "walking",

@@ -24,6 +24,7 @@ from torchrl_atr.envs.specs import flag, nested, observation_spec, values
 from torchrl_atr.envs.tasks.finite import as_float32, not_finite
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 from torchrl_atr.envs.tasks.mirrors import joints, matrix
+from torchrl_atr.envs.tasks.reconfiguration import Reconfigurable
 from torchrl_atr.envs.tasks.runner import ACTION_LIMIT, EpisodeRunner
 from torchrl_atr.envs.tasks.task import Task
 from torchrl_atr.envs.tasks.terms import StepOutcome
@@ -34,7 +35,7 @@ _LOGGED = 20
 _LOG = logging.getLogger(__name__)
 
 
-class QuadrupedEnv(EnvBase):
+class QuadrupedEnv(Reconfigurable, EnvBase):
     """Batched env of N quadrupeds at a task, which is read once, at construction.
 
     Each robot has its own intrinsic parameters, drawn anew at every reset. The env scores with the command it is given
@@ -51,8 +52,7 @@ class QuadrupedEnv(EnvBase):
         failed_episode_replay: share of the failures after which the same robot, with the intrinsics it failed with,
             tries again (for training).
         seed: of intrinsics, initial states, disturbances and sensor errors.
-        dump_dir: where the last half second of a simulation that failed is written, for ``torchrl-atr replay``; None
-            for nowhere.
+        dump_dir: where the last half second of failed simulations is written, for ``torchrl-atr replay``, if at all.
         compiled: whether ``torch.compile`` makes one function of observations, rewards and terminations. Then making
             the env and its first step take half a minute (seconds, where torch has the result on disk) and the other
             steps less; needs a C++ compiler and Python's headers.
@@ -72,8 +72,8 @@ class QuadrupedEnv(EnvBase):
     ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. It does not clip: larger ones, as of Gaussian policies,
     are applied as long as they are finite in float32, up to the joints' control ranges.
 
-    An env can be pickled and copied (``copy.deepcopy``), and continues from there bit for bit. ``set_seed`` fixes
-    intrinsics, initial states and disturbances, and the commands of a curriculum in front of it.
+    An env can be pickled and copied, and continues from there bit for bit. ``set_seed`` fixes intrinsics, initial
+    states and disturbances, and the commands of a curriculum in front of it. :meth:`reconfigure` changes parameters.
 
     Keys, float32 and SI units: ``action`` (N, 12) and ``command`` (N, C) in; out the task's groups of observations (of
     riding ``proprio`` 44, ``speeds`` 2, ``dead_reckoned_velocity`` 3, ``("privileged", "extrinsic")`` 16,
@@ -180,10 +180,8 @@ class QuadrupedEnv(EnvBase):
             InputError: for another device.
         """
         if torch.device(device).type != "cpu":
-            raise InputError(
-                f"QuadrupedEnv simulates on the CPU, not on {device}; give the collector env_device='cpu' and "
-                f"policy_device={str(device)!r}"
-            )
+            remedy = f"give the collector env_device='cpu' and policy_device={str(device)!r}"
+            raise InputError(f"QuadrupedEnv simulates on the CPU, not on {device}; {remedy}")
         return super().to(device)
 
     def _make_specs(self) -> None:

@@ -16,10 +16,11 @@ from torchrl_atr.envs.models import RobotSpec, TransporterSpec
 from torchrl_atr.envs.physics import EngineName
 from torchrl_atr.envs.tasks import RewardError, Task, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
+from torchrl_atr.envs.tasks.reconfiguration import Reconfigurable
 from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, TimeLimitGrowth, task_transforms
 
 
-class CurriculumEnv(TransformedEnv):
+class CurriculumEnv(Reconfigurable, TransformedEnv):
     """Transformed env with a command curriculum at any position among its transforms."""
 
     @property

@@ -32,6 +32,7 @@ from torchrl_atr.modules.network_factory import make_networks
 from torchrl_atr.modules.networks import ROANetworks
 from torchrl_atr.modules.normalization import RunningNormalizer
 from torchrl_atr.modules.placement import DeviceBridge
+from torchrl_atr.modules.single_estimator import make_estimator
 from torchrl_atr.modules.symmetry import EquivariantLinear, equivariant_mlp
 
 __all__ = [
@@ -68,6 +69,7 @@ __all__ = [
     "get_estimator",
     "hadamard_leg_basis",
     "make_actor",
+    "make_estimator",
     "make_networks",
     "register_estimator",
     "with_correlated_noise",

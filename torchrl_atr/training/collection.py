@@ -19,8 +19,9 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._cpus import available_cpus
-from torchrl_atr._errors import UserError, first_line
+from torchrl_atr._errors import InputError, UserError, first_line
 from torchrl_atr._torchrl_private import carried_root
+from torchrl_atr.envs import reconfigure
 from torchrl_atr.modules import DeviceBridge, with_state
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.training.config import TrainConfig
@@ -135,6 +136,22 @@ class Collection:
                     self.curriculum.merge_(weights)
                 arguments = [(self.curriculum.weights.clone(),)] * self.config.compute.workers
                 self.collector.map_fn(f"{_CURRICULUM}.load_weights", list_of_args=arguments)
+
+    def reconfigure(self, **changes: Any) -> None:
+        """Change parameters of all envs from their next episodes on: :func:`torchrl_atr.envs.reconfigure`.
+
+        Changes are not part of a checkpoint: a callback makes them again when a run is resumed.
+
+        Raises:
+            InputError: names what does not fit; nothing has changed then. With ``distributed``, whose workers cannot be
+                called, always.
+        """
+        if self.remote and not self.callable:
+            raise InputError(f"collector={self.config.compute.collector!r} cannot call its workers; use process or ray")
+        reconfigure(self.env, **changes)  # refused here, before any worker is asked
+        if self.remote:
+            with self._workers():
+                reconfigure(self.collector, **changes)
 
     @contextmanager
     def _workers(self, what: str = "failed") -> Iterator[None]:

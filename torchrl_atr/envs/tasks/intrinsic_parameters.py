@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchrl_atr._checks import check_choice, check_number
 from torchrl_atr._errors import InputError
+from torchrl_atr._registry import nearest
 from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.physics.engine import ModelFields
 from torchrl_atr.envs.tasks import mirrors
@@ -78,12 +79,12 @@ class IntrinsicParameter:
         return (2.0 * value - low - high) / (high - low)
 
 
-def _is_range(ends: Any) -> bool:
+def _is_range(ends: Any, above: bool = True) -> bool:
     try:
         low, high = (check_number("end", end) for end in ends)
     except (TypeError, ValueError):
         return False
-    return low < high
+    return low < high or (not above and low == high)
 
 
 class Intrinsics:
@@ -144,9 +145,36 @@ class Intrinsics:
         Raises:
             ValueError: for another ``randomization``.
         """
-        check_choice("randomization", randomization, RANDOMIZATIONS)
-        low, high = self._scaled[randomization]
+        return self.draw(n, self.ends(randomization), generator)
+
+    def draw(self, n: int, ends: Tensor, generator: torch.Generator) -> Tensor:
+        """Draw x_int for n robots between scaled ends of :meth:`ends`, (n, size) float32."""
+        low, high = ends
         return low + (high - low) * torch.rand(n, self.size, generator=generator, dtype=torch.float32)
+
+    def ends(self, ranges: Randomization | Mapping[str, Sequence[float]], others: Tensor | None = None) -> Tensor:
+        """Return the scaled ends of ranges, (2, size) float32.
+
+        Args:
+            ranges: ``"train"``, ``"test"`` or ``"off"``; or lowest and highest value, which may be equal, of some
+                parameters by name, in their own units.
+            others: ends of the parameters that are not named; those of the training range by default.
+
+        Raises:
+            InputError: for another name of a set. IntrinsicError: for an unknown parameter, or an invalid range.
+        """
+        if not isinstance(ranges, Mapping):
+            check_choice("randomization", ranges, RANDOMIZATIONS)
+            return self._scaled[ranges]
+        scaled = (self._scaled["train"] if others is None else others).clone()
+        for name, pair in ranges.items():
+            if name not in self.parameters:
+                raise IntrinsicError(f"there is no intrinsic parameter {name!r}; {nearest(str(name), self.parameters)}")
+            if not _is_range(pair, above=False):
+                raise IntrinsicError(f"{name}={pair!r} is no range; give two finite numbers, the lower one first")
+            values = [self.parameters[name].scaled(float(end)) for end in pair]
+            scaled[:, self.slices[name]] = torch.tensor(values, dtype=torch.float32).unsqueeze(-1)
+        return scaled
 
     def values(self, x_int: Tensor) -> dict[str, Tensor]:
         """Return the values of x_int, (n, size), by name, (n, size of each) float64: the inverse of the scaling."""

@@ -12,6 +12,8 @@ from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.finite import as_float32, bad_rows
 from torchrl_atr.envs.tasks.intrinsic_parameters import RANDOMIZATIONS, Intrinsics, Randomization
 from torchrl_atr.envs.tasks.memory_terms import MemoryTermError
+from torchrl_atr.envs.tasks.per_episode import PerEpisode
+from torchrl_atr.envs.tasks.reconfiguration import Changes
 from torchrl_atr.envs.tasks.reward_terms import TERMINATION
 from torchrl_atr.envs.tasks.sensor_errors import SensorErrors
 from torchrl_atr.envs.tasks.task import Task
@@ -45,6 +47,7 @@ class EpisodeRunner:
     Attributes:
         terms: rewards, terminations, observations and memory.
         intrinsics: components of x_int.
+        ends: scaled ends of the ranges from which the next episodes draw it, (2, I).
         x_int: scaled intrinsic parameters, (N, I).
         previous_action: a_{t-1}, (N, 12), zero at the start of an episode.
         memory: values of the memory terms, by name, (N, size) each.
@@ -73,7 +76,7 @@ class EpisodeRunner:
         check_choice("randomization", randomization, RANDOMIZATIONS)
         check_flag("compiled", compiled)
         self.task, self.engine, self.scene = task, engine, engine.scene
-        self.randomization, self.rng = randomization, rng
+        self.rng = rng
         self.num_diverged = 0
         self.joints = len(self.scene.robot.joints)
         n = engine.num_envs
@@ -83,7 +86,9 @@ class EpisodeRunner:
         self.failed, self.moving = torch.zeros(2, n, dtype=torch.bool)
         self.previous_action = torch.zeros(n, self.joints, dtype=torch.float32)
         self.intrinsics = Intrinsics(task.intrinsics, self.scene)
+        self.ends = self.intrinsics.ends(randomization)
         self.x_int = self.intrinsics.sample(n, "off", rng)
+        self._disturbances = PerEpisode(task.disturbances, n)
         self.terms = TaskTerms(task, self._reader, compiled)
         self.causes = torch.zeros(len(self.terms.causes), n, dtype=torch.bool)
         self._check_names()
@@ -114,13 +119,14 @@ class EpisodeRunner:
             Observations of those rows, as :meth:`observe` returns for all.
         """
         n = len(rows)
-        x_int = self.intrinsics.sample(n, self.randomization, self.rng)
+        x_int = self.intrinsics.draw(n, self.ends, self.rng)
         if self.failed_episode_replay > 0.0:
             draw = torch.rand(n, generator=self.rng, dtype=torch.float32)
             again = self.failed[rows] & (draw < self.failed_episode_replay)
             x_int = torch.where(again.unsqueeze(-1), self.x_int[rows], x_int)
         begun = checked_start(self.task, self.task.reset(self.scene, command, self.rng), self.scene, n)
         self.engine.reset(rows, begun.qpos, begun.qvel, lambda fields: self.intrinsics.apply(fields, x_int))
+        self._disturbances.begin(rows)
         errors = self.sensor_errors.start(rows)
         observed, velocities, memory, exact = self.terms.first(self._reader.gather(rows), command, x_int, errors)
         self.sensor_errors.remember(exact, rows)
@@ -150,14 +156,25 @@ class EpisodeRunner:
         self.engine.command(self._nominal + self.scene.robot.action_scale * self._action)
 
     def _disturb(self) -> None:
-        for name, disturbance in self.task.disturbances.items():
-            due = ((self.steps % disturbance.steps == 0) & (self.steps > 0)).nonzero().squeeze(-1)
-            if len(due):
-                try:
-                    disturbance.function(self.engine, due, self.rng)
-                except Exception as error:  # of the user's function
-                    reason = f"{type(error).__name__}: {error}"
-                    raise InputError(f"the disturbance {name!r} failed: {reason}") from error
+        for disturbances, rows in self._disturbances:
+            for name, disturbance in disturbances.items():
+                due = ((self.steps % disturbance.steps == 0) & (self.steps > 0) & rows).nonzero().squeeze(-1)
+                if len(due):
+                    try:
+                        disturbance.function(self.engine, due, self.rng)
+                    except Exception as error:  # of the user's function
+                        reason = f"{type(error).__name__}: {error}"
+                        raise InputError(f"the disturbance {name!r} failed: {reason}") from error
+
+    @keeps_normal_tensors
+    def change(self, changes: Changes) -> None:
+        """Change randomisation, sensors and disturbances of every robot from its next episode on."""
+        if changes.ends is not None:
+            self.ends = changes.ends
+        if changes.observations is not None:
+            self.sensor_errors.set(changes.observations)
+        if changes.disturbances is not None:
+            self._disturbances.set(changes.disturbances)
 
     @keeps_normal_tensors
     @torch.no_grad()

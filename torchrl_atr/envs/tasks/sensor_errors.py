@@ -12,6 +12,7 @@ from torch import Tensor
 
 from torchrl_atr.envs.physics.engine import CONTROL_DT
 
+_ERRORS = ("noise", "bias", "bias_time", "delay")
 Draw = dict[str, Tensor]
 """``offset`` and ``delay`` of a group's components at this step, and their exact values ``before`` it, (N, D) each."""
 
@@ -69,20 +70,46 @@ class SensorErrors:
         num_envs: int,
         generator: torch.Generator,
     ) -> None:
-        self.generator = generator
+        self.generator, self._sizes, self._num_envs = generator, sizes, num_envs
         self.state: dict[str, Tensor] = {}
-        self._scales: dict[NestedKey, dict[str, Tensor]] = {}  # (D,) each
+        self._scales: dict[NestedKey, dict[str, Tensor]] = {}  # of each robot's episode, (N, D) each
+        self._latest: dict[NestedKey, dict[str, Tensor]] = {}  # of episodes that start now, (D,) each
+        self.set(groups)
+
+    def set(self, groups: Mapping[NestedKey, Mapping[str, Any]]) -> None:
+        """Set the errors of episodes that start from now on; robots keep theirs until then.
+
+        Args:
+            groups: as given before, with other errors.
+        """
         for key, group in groups.items():
-            if any(term.has_errors for term in group.values()):
-                counts = torch.tensor(list(sizes[key].values()))
-                total = int(counts.sum())
-                self._scales[key] = {
-                    name: torch.tensor([getattr(t, name) for t in group.values()]).float().repeat_interleave(counts)
-                    for name in ("noise", "bias", "bias_time", "delay")
-                }
-                self._scales[key] |= _wandering(self._scales[key])
-                for name, size in (("bias", total), ("delay", 1), ("before", total)):
-                    self.state[_name(key, name)] = torch.zeros(num_envs, size, dtype=torch.float32)
+            if key not in self._scales:
+                if not any(term.has_errors for term in group.values()):
+                    continue
+                self._allocate(key)
+            counts = torch.tensor(list(self._sizes[key].values()))
+            self._latest[key] = {
+                name: torch.tensor([getattr(t, name) for t in group.values()]).float().repeat_interleave(counts)
+                for name in _ERRORS
+            }
+        self._outdated = torch.ones(self._num_envs, dtype=torch.bool)
+
+    def _allocate(self, key: NestedKey) -> None:
+        """Allocate a group without errors."""
+        total = sum(self._sizes[key].values())
+        for name, size in (("bias", total), ("delay", 1), ("before", total)):
+            self.state[_name(key, name)] = torch.zeros(self._num_envs, size, dtype=torch.float32)
+        none = {name: torch.zeros(self._num_envs, total, dtype=torch.float32) for name in _ERRORS}
+        self._scales[key] = none | _wandering(none)
+
+    def _update(self, rows: Tensor) -> None:
+        """Give ``rows`` the errors that were set last."""
+        if self._outdated[rows].any():
+            self._outdated[rows] = False
+            for key, scale in self._scales.items():
+                for name in _ERRORS:
+                    scale[name][rows] = self._latest[key][name]
+                scale |= _wandering(scale)
 
     def __bool__(self) -> bool:
         return bool(self._scales)
@@ -92,8 +119,9 @@ class SensorErrors:
 
         There is no previous value, so no delay; :meth:`remember` the exact values at the start of those rows.
         """
+        self._update(rows)
         drawn = {}
-        for key, scale in self._scales.items():
+        for key, scale in self._latest.items():
             bias = scale["bias"] * self._normal(len(rows), len(scale["bias"]))
             delay = torch.rand(len(rows), 1, generator=self.generator, dtype=torch.float32)
             self.state[_name(key, "bias")][rows] = bias
@@ -132,7 +160,7 @@ class SensorErrors:
         return bias.index_copy(1, columns, keep * bias[:, columns] + fresh)
 
     def _noise(self, scale: Mapping[str, Tensor], n: int) -> Tensor:
-        return scale["noise"] * self._normal(n, len(scale["noise"]))
+        return scale["noise"] * self._normal(n, scale["noise"].shape[-1])
 
     def _normal(self, rows: int, columns: int) -> Tensor:
         return torch.randn(rows, columns, generator=self.generator, dtype=torch.float32)
@@ -152,10 +180,11 @@ def columns_of(sizes: Mapping[str, int]) -> dict[str, slice]:
 
 
 def _wandering(scale: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Return the columns whose bias wanders, its decay in a control step, and the standard deviation of what is new."""
-    columns = (torch.isfinite(scale["bias_time"]) & (scale["bias"] > 0)).nonzero().squeeze(-1)
-    keep = torch.exp(-CONTROL_DT / scale["bias_time"][columns])
-    return {"wandering": columns, "keep": keep, "fresh": torch.sqrt(1.0 - keep.square()) * scale["bias"][columns]}
+    """Return the columns in which a bias wanders, its decay in a step, and the standard deviation of what is new."""
+    wanders = torch.isfinite(scale["bias_time"]) & (scale["bias"] > 0)  # (N, D)
+    columns = wanders.any(0).nonzero().squeeze(-1)
+    keep = torch.where(wanders, torch.exp(-CONTROL_DT / scale["bias_time"]), 1.0)[:, columns]
+    return {"wandering": columns, "keep": keep, "fresh": torch.sqrt(1.0 - keep.square()) * scale["bias"][:, columns]}
 
 
 def _name(key: NestedKey, name: str) -> str:

@@ -12,6 +12,7 @@ from torchrl_atr.envs.tasks.observation_terms import Group, ObservationError
 
 SensorSet = Mapping[str, Mapping[str, Any]]
 """Fields noise, bias, bias_time and delay to set, by the name of an observation term of ``proprio``."""
+_FIELDS = "give a mapping with noise, bias, bias_time and delay"
 _ATTITUDE = math.radians(0.5)
 SENSORS: Registry[SensorSet] = Registry("sensor set")
 SENSORS.register("ideal", {})
@@ -26,6 +27,18 @@ SENSORS.register(
     },
 )
 """``ideal``: the paper states no errors. ``realistic``: IMU and encoders of a robot, up to a control step late."""
+
+
+def exact(group: Group) -> Group:
+    """Return a group of observation terms without errors.
+
+    Example:
+        >>> from torchrl_atr.envs.tasks.proprioception import PROPRIO
+        >>> exact(with_sensors(PROPRIO, "realistic"))["joint_position"].noise
+        0.0
+    """
+    none: dict[str, Any] = {"noise": 0.0, "bias": 0.0, "bias_time": math.inf, "delay": 0.0}
+    return {name: dataclasses.replace(term, **none) for name, term in group.items()}
 
 
 def with_sensors(group: Group, sensors: str | SensorSet) -> Group:
@@ -49,5 +62,8 @@ def with_sensors(group: Group, sensors: str | SensorSet) -> Group:
     for name, errors in chosen.items():
         if name not in group:
             raise ObservationError(f"the sensor set names {name!r}; the observation terms are {', '.join(group)}")
-        changed[name] = dataclasses.replace(group[name], **errors)
+        try:
+            changed[name] = dataclasses.replace(group[name], **errors)
+        except TypeError as error:
+            raise ObservationError(f"the sensor set gives {name!r} the errors {errors!r}; {_FIELDS}") from error
     return {**group, **changed}

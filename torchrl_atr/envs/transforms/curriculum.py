@@ -16,6 +16,7 @@ from torchrl_atr._checks import check_key, check_keys, check_kind, check_whole
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr._registry import nearest_entry
 from torchrl_atr.envs.transforms.grid import CommandGrid
+from torchrl_atr.envs.transforms.limits import CommandLimits
 from torchrl_atr.envs.transforms.rows import CommandRows
 from torchrl_atr.envs.transforms.scores import TRACKING_KEYS, check_scores, read_scores
 from torchrl_atr.envs.transforms.seeding import OwnGenerator, make_generator
@@ -89,6 +90,7 @@ class CommandCurriculum(OwnGenerator):
         if not 0 <= score_from < window:
             raise ValueError(f"score_from must be in [0, window) = [0, {window}), got {score_from}")
         self.grid = CommandGrid() if grid is None else grid
+        self.limits = CommandLimits(self.grid)
         self.window, self.score_from = window, score_from
         self.command_key, self.unscored_key = unravel_key(command_key), unscored_key
         self._generator = make_generator(seed)
@@ -116,11 +118,15 @@ class CommandCurriculum(OwnGenerator):
 
     @property
     def frontier(self) -> tuple[float, float]:
-        """Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s) that can be drawn now."""
+        """Largest ``|c_v|`` (m/s) and ``|c_omega|`` (rad/s) that have a weight now, beyond any limits as well."""
         version = id(self.weights), self.weights._version  # read at every step; the weights seldom change
         if self._frontier is None or self._frontier[0] != version:
             self._frontier = version, self.grid.frontier(self.weights)
         return self._frontier[1]
+
+    def limit(self, bounds: Sequence[float]) -> None:
+        """Draw further commands within ``bounds`` alone (:class:`CommandLimits`); those in force last their window."""
+        self.limits.part = self.limits.within(bounds)
 
     @keeps_normal_tensors
     @torch.no_grad()
@@ -285,6 +291,6 @@ class CommandCurriculum(OwnGenerator):
         if len(index):
             # drawn on the CPU: the same commands on every device
             uniforms = torch.rand(len(index), self.grid.uniforms, generator=self._source(), dtype=torch.float64)
-            commands, cells = self.grid.sample(self.weights, uniforms.to(self.weights.device))
+            commands, cells = self.limits.sample(self.weights, uniforms.to(self.weights.device))
             self.rows.command.index_copy_(0, index, commands.to(self.rows.command.dtype))
             self.rows.cells.index_copy_(0, index, cells)

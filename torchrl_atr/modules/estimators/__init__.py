@@ -29,7 +29,7 @@ from torchrl_atr.modules.estimators.self_supervised import ContrastiveEstimator,
 from torchrl_atr.modules.estimators.spec import ROLES, EstimatorSpec, Role
 from torchrl_atr.modules.estimators.state import IS_INIT, state_keys, state_shapes, with_state
 from torchrl_atr.modules.estimators.tensordict_module import EstimatorModule, WindowModule
-from torchrl_atr.modules.estimators.uncertain import GaussianEstimator
+from torchrl_atr.modules.estimators.uncertain import EnsembleEstimator, GaussianEstimator
 from torchrl_atr.modules.estimators.window import (
     CNNGRUEstimator,
     MLPEstimator,
@@ -44,6 +44,7 @@ __all__ = [
     "_ESTIMATORS",
     "CNNGRUEstimator",
     "ContrastiveEstimator",
+    "EnsembleEstimator",
     "EstimateHead",
     "EstimatorError",
     "EstimatorFactory",
