@@ -24,6 +24,7 @@ ADDITIONS = {  # setting and the value that turns it off, kept apart from the de
     "env.failed_episode_replay": 0.0,
     "task.sensors": "ideal",
     "task.observe_tilt": False,
+    "task.stance": (0.0, 0.0, 0.0),
     "task.moving_start": 0.0,
     "task.displaced_start": 0.0,
     "task.steering_weight_peak": 1.0,

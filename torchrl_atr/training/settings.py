@@ -82,6 +82,11 @@ class TaskConfig(Settings):
     """Nominal stiffness of the joints' PD controllers; 0 for the robot's own."""
     kd: float = setting(0.0, within=(0, 1e5), unit="N m s/rad")
     """Nominal damping of the joints' PD controllers; 0 for the robot's own."""
+    stance: tuple[float, ...] = setting(
+        (0.15, 0.1, 0.1), within=(-0.5, 0.5), off=(0.0, 0.0, 0.0), addition="a wide, long and low stance"
+    )
+    """Riding only: how much wider, longer and lower the robot stands than in its own q0, as shares of its height. More
+    robots that hold still survive pushes in it."""
     moving_start: float = setting(0.5, within=(0, 1), off=0.0, addition="moving starts")
     """Share of the episodes whose transporter starts at part of the commanded speeds. A lean changes the yaw rate only
     seconds later: a robot that starts in a turn is rewarded at once for the lean that keeps it."""

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 
 import mujoco
 import numpy as np
 import torch
+from scipy.optimize import least_squares
 from torch import Tensor
 
 from torchrl_atr.envs.models.feet import find_feet
 from torchrl_atr.envs.models.loading import load_robot_model
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
+
+_OUTWARDS = [[1.0, -1.0, 1.0], [-1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]]
+"""Signs of x, y and z of a foot that moves outwards, in the order of :data:`LEGS`."""
+_REACHED = 1e-3
+"""Tolerance of a foot's position, m."""
 
 
 class LegKinematics:
@@ -62,6 +69,40 @@ class LegKinematics:
 def leg_kinematics(robot: RobotSpec) -> LegKinematics:
     """Return the kinematics of a robot, made once."""
     return LegKinematics(robot)
+
+
+def with_stance(robot: RobotSpec, wider: float, longer: float, lower: float) -> RobotSpec:
+    """Return a robot that stands with its feet further apart and its trunk lower: another q0 and h_des.
+
+    Args:
+        robot: its spec.
+        wider: how far each foot moves outwards along y, as a share of the standing height.
+        longer: the same along x.
+        lower: how far the trunk is lower, likewise.
+
+    Raises:
+        RobotError: if the legs do not reach there, or the trunk would be at the height of a fallen robot.
+
+    Example:
+        >>> from torchrl_atr.envs.models import ROBOTS
+        >>> round(with_stance(ROBOTS.get("a1"), 0.15, 0.1, 0.1).standing_height, 3)
+        0.27
+    """
+    if not any((wider, longer, lower)):
+        return robot
+    legs, unit = leg_kinematics(robot), robot.standing_height
+    start = torch.tensor(robot.q0)
+    offset = unit * torch.tensor([longer, wider, lower])
+    target = legs(start) + offset * torch.tensor(_OUTWARDS)
+    found = least_squares(
+        lambda angles: (legs(torch.tensor(angles, dtype=torch.float32)) - target).flatten().numpy(), robot.q0
+    )
+    if np.abs(found.fun).max() > _REACHED:
+        raise robot.error(
+            f"its legs do not reach a stance {wider:g} wider, {longer:g} longer, {lower:g} lower; give smaller shares"
+        )
+    q0 = tuple(round(float(angle), 4) for angle in found.x)
+    return dataclasses.replace(robot, q0=q0, standing_height=unit * (1.0 - lower))
 
 
 def _tensor(values: np.ndarray) -> Tensor:

@@ -11,6 +11,7 @@ import numpy as np
 from torchrl_atr._checks import check_flag, check_number
 from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import RobotSpec, Transporter, TransporterSpec, get_robot, get_transporter
+from torchrl_atr.envs.models.leg_kinematics import with_stance
 from torchrl_atr.envs.models.robot_file import describe_robot
 from torchrl_atr.envs.models.transporter import describe_transporter
 from torchrl_atr.envs.tasks import mirrors
@@ -52,6 +53,7 @@ def riding(
     observe_tilt: bool = False,
     pushes: bool | Pushes = True,
     gains: Gains | None = None,
+    stance: tuple[float, float, float] | None = None,
     moving_start: float = 0.0,
     displaced_start: float = 0.0,
     rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
@@ -74,6 +76,8 @@ def riding(
             (:mod:`~torchrl_atr.envs.tasks.support_tilt`).
         pushes: whether robot and transporter are pushed, every 3 s, or the sizes and interval.
         gains: nominal PD gains, see :data:`~torchrl_atr.envs.tasks.parameters.Gains`; None for the robot's own.
+        stance: how much wider, longer and lower the robot stands than in its own q0, as shares of its standing height
+            (:func:`~torchrl_atr.envs.models.leg_kinematics.with_stance`); None for its own.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
             pushes (for training).
@@ -99,7 +103,9 @@ def riding(
     displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
     dead_reckoned, velocity = dead_reckoning(velocity_filter)
     interpretation = get_interpretation(profile)
-    rider = with_gains(get_robot(robot), gains)
+    wider, longer, lower = (check_number("stance", share, -0.5, 0.5) for share in stance or (0.0, 0.0, 0.0))
+    rider = with_stance(with_gains(get_robot(robot), gains), wider, longer, lower)
+    stands = {"stance": [wider, longer, lower]} if any((wider, longer, lower)) else {}
     spec = get_transporter(transporter, rider)
     tilt = {NAME: support_tilt(rider)} if check_flag("observe_tilt", observe_tilt) else {}
     return Task(
@@ -122,7 +128,12 @@ def riding(
             **_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),
             **_constant("termination", check_number("fall_weight", fall_weight, 0.0)),
         },
-        arguments={"robot": describe_robot(robot), "transporter": describe_transporter(spec), **gain_arguments(gains)},
+        arguments={
+            "robot": describe_robot(robot),
+            "transporter": describe_transporter(spec),
+            **gain_arguments(gains),
+            **stands,
+        },
     )
 
 
