@@ -15,8 +15,12 @@ from torchrl_atr.training import Trainer, load_run, make_config
 TINY = {"env.num_envs": 2, "total_frames": 8, "ppo.rollout_steps": 2, "ppo.minibatches": 1, "compute.num_threads": 1}
 OTHERS = [
     {"task.velocity_filter": "integral", "task.interpretation.current_in_history": True},
-    {"task.velocity_filter": "leaky_integral", "task.interpretation.gravity_in_acceleration": True},
-    {"estimator.dead_reckoning": False, "env.history_length": 3, "task.transporter": "two_board"},
+    {
+        "task.velocity_filter": "leaky_integral",
+        "task.interpretation.gravity_in_acceleration": True,
+        "preset": "concurrent",
+    },
+    {"preset": "asymmetric", "env.history_length": 3, "task.transporter": "two_board"},
 ]
 
 
