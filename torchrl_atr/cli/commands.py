@@ -54,7 +54,7 @@ def _config_from(run: Path, given: dict[str, Any]) -> tuple[TrainConfig, set[str
 
     settings = saved_settings(load_checkpoint(run), run, given.get("imports", ()))
     preset = given.get("preset", settings["preset"])
-    second_phase = PRESETS.get(preset) if preset in STUDENTS else {}
+    second_phase = PRESETS.get(preset) if given.get("preset") in STUDENTS else {}
     if preset != settings["preset"] and not second_phase:  # its settings are all taken
         raise ConfigError(
             f"--preset {preset}: --from {run} keeps that run's, {settings['preset']}; leave it out, or give one of a "

@@ -18,6 +18,8 @@ from torchrl_atr.modules.symmetry import check_reflection, halves_swapped, join_
 
 INPUT_GAIN = 4.0
 """Factor of product and error inputs: Adam's steps are alike for all weights, so a larger input is learned faster."""
+HISTORY_FEATURES = 16
+"""Units that each past observation is embedded in, by one layer shared over time."""
 ERROR_SCALE = 0.5
 """Error at which an error input is tanh(1), in the units of the command; that of the tracking rewards' kernel."""
 
@@ -50,7 +52,8 @@ class ActorBackbone(nn.Module):
             all outputs. None, the default, is the identity.
         reads_scale (bool): whether it also reads the standard deviations of latent and extrinsic state. Defaults to
             False.
-        history_length (int): H, past observations that it reads. Defaults to 0.
+        history_length (int): H, past observations that it reads, each through one layer of
+            :data:`HISTORY_FEATURES` units. Defaults to 0.
 
     Attributes:
         reads (tuple of str): what it reads beside the observation, in order: ``history``, ``latent``, ``extrinsic``,
@@ -102,7 +105,8 @@ class ActorBackbone(nn.Module):
         self.extrinsic_norm = extrinsic_norm
         estimated = {name: width for name, width in (("latent", latent_features), ("extrinsic", states)) if width}
         scales = {f"{name}_scale": width for name, width in estimated.items() if reads_scale}
-        widths = {**({"history": history_length * size} if history_length else {}), **estimated, **scales}
+        history = {"history": history_length * HISTORY_FEATURES} if history_length else {}
+        widths = {**history, **estimated, **scales}
         self.reads = tuple(widths)
         in_features = size + len(input_errors) + len(input_products) + sum(widths.values())
         reflections = None
@@ -110,11 +114,15 @@ class ActorBackbone(nn.Module):
             mirror = check_reflection(reflection, action_features, "the action's reflection")
             mirror = mirror if output_map is None else _output_reflection(mirror, output_map)
             reflections = self._input_reflection(latent_features, history_length), mirror
+        if history_length:
+            embedded = halves_swapped(HISTORY_FEATURES)
+            sides = None if reflection is None else (join_reflections(observation_norm.reflection), embedded)
+            self.history_net = make_mlp(size, HISTORY_FEATURES, (), sides)
         self.net = make_mlp(in_features, action_features, cells, reflections)
 
     def _input_reflection(self, latent_features: int, history_length: int) -> Tensor:
         observation = join_reflections(self.observation_norm.reflection)
-        parts = {"history": [observation] * history_length}
+        parts = {"history": [halves_swapped(HISTORY_FEATURES)] * history_length}
         if latent_features:
             parts["latent"] = [halves_swapped(latent_features)]
         errors = observation.diagonal()[self._commanded]
@@ -150,7 +158,7 @@ class ActorBackbone(nn.Module):
 
     def _normalized(self, name: str, value: Tensor) -> Tensor:
         if name == "history":
-            return self.observation_norm(value).flatten(-2)
+            return nn.functional.elu(self.history_net(self.observation_norm(value))).flatten(-2)
         if self.extrinsic_norm is None or name.startswith("latent"):
             return value
         return self.extrinsic_norm(value) if name == "extrinsic" else value / self.extrinsic_norm.std
