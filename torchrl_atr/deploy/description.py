@@ -13,6 +13,7 @@ from torchrl_atr.envs.models import Scene, Transporter
 from torchrl_atr.envs.models.boards import PLANAR_JOINTS
 from torchrl_atr.envs.models.drives import tilt_drive
 from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
+from torchrl_atr.envs.tasks.support_tilt import NAME
 from torchrl_atr.modules import CommandRange
 from torchrl_atr.training import TrainConfig
 from torchrl_atr.training.provenance import machine
@@ -31,6 +32,7 @@ _FRAMES = {
     "joint_position": "about each joint's axis; zero as in the robot's MJCF file",
     "joint_velocity": "about each joint's axis",
     "action": "joint displacement from q0 / action scale, as the policy gave it",
+    NAME: "computed in policy.onnx: tilt of the feet's plane against the horizontal; left side up, front down, twist",
     "command": "forward speed, and yaw rate to the left, of the transporter",
 }
 _CLIPPING = (
@@ -58,6 +60,7 @@ def describe_policy(
     frames["acceleration"] += f", mean over the control period of {1e3 * CONTROL_DT:.0f} ms"
     command = {"names": list(task.command.names), "units": list(task.command.units)}
     parts = [(name, term, sizes["proprio"][name]) for name, term in task.observations["proprio"].items()]
+    measured = [part for part in parts if part[0] in SENSORS]
     estimated = task.observations["privileged", "extrinsic"]
     clipping = _CLIPPING.format(limits.max_speed, limits.max_yaw_rate)
     if limits.max_lateral_acceleration is not None:
@@ -94,8 +97,7 @@ def describe_policy(
                     "max_delay_s": term.delay * CONTROL_DT,
                 },
             }
-            for name, term, size in sorted(parts, key=lambda part: (*SENSORS, "action").index(part[0]))
-            if name != "action"
+            for name, term, size in sorted(measured, key=lambda part: SENSORS.index(part[0]))
         ],
         "observation": [
             *({"name": name, "size": size, "unit": term.unit, "frame": frames[name]} for name, term, size in parts),

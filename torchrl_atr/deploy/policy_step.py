@@ -13,8 +13,10 @@ from torch import Tensor, nn
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import Scene
+from torchrl_atr.envs.models.leg_kinematics import leg_kinematics
 from torchrl_atr.envs.tasks.dead_reckoning import KEY, METHODS
 from torchrl_atr.envs.tasks.proprioception import PROPRIO
+from torchrl_atr.envs.tasks.support_tilt import NAME, feet_tilt
 from torchrl_atr.modules import CommandRange, NetworkKeys, ROANetworks
 
 SENSORS = tuple(name for name in PROPRIO if name != "action")
@@ -89,7 +91,7 @@ class PolicyStep(nn.Module):
     ) -> None:
         super().__init__()
         self.order = tuple(task.observations["proprio"])
-        strange = set(self.order) ^ {*SENSORS, "action"}
+        strange = (set(self.order) - {NAME}) ^ {*SENSORS, "action"}
         strange |= {str(key) for key in networks.estimator_inputs if key != NetworkKeys.dead_reckoned_velocity}
         if strange:
             raise InputError(
@@ -98,6 +100,7 @@ class PolicyStep(nn.Module):
             )
         self.networks, self.limits, self.interpretation = networks, limits, task.interpretation
         self.method, self.scale = METHODS[method], scene.robot.action_scale
+        self.legs = leg_kinematics(scene.robot) if NAME in self.order else None
         for name, value in {"q0": scene.robot.q0, **target_limits(scene), "rest": self._rest()}.items():
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32), persistent=False)
 
@@ -137,6 +140,8 @@ class PolicyStep(nn.Module):
         command = command if self.limits is None else self.limits(command)
         sensors = (acceleration, angular_velocity, orientation, joint_position, joint_velocity)
         proprio = dict(zip(SENSORS, sensors), action=torch.where(start, 0.0, last_action))
+        if self.legs is not None:
+            proprio[NAME] = feet_tilt(self.legs(joint_position), orientation)
         observation = torch.cat([*(proprio[name] for name in self.order), command], -1)
         history = torch.where(start.unsqueeze(-1), observation.unsqueeze(-2), history)
         newest = torch.cat([history[:, 1:], observation.unsqueeze(-2)], 1)

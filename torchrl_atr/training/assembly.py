@@ -21,6 +21,7 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS
+from torchrl_atr.envs.tasks.support_tilt import PITCH
 from torchrl_atr.envs.transforms import CommandGrid, TimeLimitGrowth
 from torchrl_atr.modules import (
     Exploration,
@@ -47,7 +48,7 @@ LOADING_OVERRIDES: dict[str, Any] = {
     "compact_storage": False,
 }
 """Env arguments of a run that is loaded, not trained: there may be no compiler."""
-TASK_OVERRIDES: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "drifted_start": 0.0, "pushes": False}
+TASK_OVERRIDES: dict[str, Any] = {"moving_start": 0.0, "displaced_start": 0.0, "pushes": False}
 """Arguments of a task's function that turn off what belongs to training only."""
 DEPLOYMENT_OVERRIDES: dict[str, Any] = {
     **LOADING_OVERRIDES,
@@ -108,7 +109,7 @@ def _time_limit_growth(config: TrainConfig) -> TimeLimitGrowth | None:
     if not 0 < first < config.env.episode_seconds or not config.env.staggered_starts:
         return None
     begin, end = round(config.env.episodes_grow_from * steps), round(config.env.episodes_grow_until * steps)
-    return TimeLimitGrowth(max(1, round(first / CONTROL_DT)), begin, end)
+    return TimeLimitGrowth(max(1, round(first / CONTROL_DT)), begin, end, config.env.short_episodes)
 
 
 def _widened(grid: CommandGrid | None, other: CommandGrid | None) -> CommandGrid | None:
@@ -162,10 +163,14 @@ def _command_inputs(config: TrainConfig, env: TransformedEnv) -> tuple[list[tupl
     """Return the products and the errors that the actor reads, see :class:`~torchrl_atr.modules.ActorBackbone`."""
     size = env.observation_spec["observation"].shape[-1]  # the command is the end of o_t
     speed, yaw_rate = size - 2, size - 1
-    products = [(speed, yaw_rate)] if config.ppo.command_interaction else []
     followed = env.base_env.followed if config.ppo.tracking_errors else ()
     errors = list(zip((speed, yaw_rate), followed))
-    return products + [(speed, size + 1)] * bool(products and errors), errors
+    gates = [speed] if config.ppo.command_interaction else []
+    observed = env.base_env.runner.terms.observations.names("proprio")
+    if gates and PITCH in observed:
+        gates.append(observed.index(PITCH))
+    turns = [yaw_rate] + [size + 1] * bool(errors)
+    return [(gate, turn) for gate in gates for turn in turns], errors
 
 
 def _exploration(config: ExplorationConfig, actions: int) -> tuple[Exploration, Tensor | None]:

@@ -43,7 +43,6 @@ TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
         "task.sensors": "ideal",
         "task.moving_start": 0.0,
         "task.displaced_start": 0.0,
-        "task.drifted_start": 0.0,
         "curriculum.max_speed": 0.0,
         "curriculum.max_yaw_rate": 0.0,
         "curriculum.initial_speed": 0.0,

@@ -32,6 +32,9 @@ class EnvConfig(Settings):
     )
     """Time limit of episodes at first; 0 for episode_seconds throughout. Short episodes begin often, at every speed,
     and teach tracking sooner. It needs staggered_starts."""
+    short_episodes: float = setting(0.8, within=(0, 1))
+    """Share of the episodes that keep the first time limit. Short ones teach tracking, long ones lasting; with 0.8 of
+    the one and 0.2 of the other at four times the length, half of the steps are of each."""
     episodes_grow_from: float = setting(0.03, within=(0, 1))
     """Share of the run after which the time limit grows geometrically. Robots stay up for a few seconds by then."""
     episodes_grow_until: float = setting(0.1, within=(0, 1))
@@ -71,6 +74,9 @@ class TaskConfig(Settings):
     velocity_filter: str = setting("kalman_filter")
     """Riding only: how the dead-reckoned velocity is computed: integral, leaky_integral or kalman_filter. Of these the
     Kalman filter alone stays within 0.2 m/s for a minute with realistic sensors."""
+    observe_tilt: bool = setting(True, off=False, addition="tilt of the board by leg kinematics")
+    """Riding only: let the robot observe the tilt of its feet's plane, by its legs' angles and its IMU. A third of a
+    degree, 2 mm at a foot, drives a board at 0.2 m/s, and the sign of its pitch decides how roll turns it."""
     kp: float = setting(0.0, within=(0, 1e5), unit="N m/rad")
     """Nominal stiffness of the joints' PD controllers; 0 for the robot's own."""
     kd: float = setting(0.0, within=(0, 1e5), unit="N m s/rad")
@@ -80,8 +86,6 @@ class TaskConfig(Settings):
     seconds later: a robot that starts in a turn is rewarded at once for the lean that keeps it."""
     displaced_start: float = setting(0.3, within=(0, 1), off=0.0, addition="displaced starts")
     """Share of the episodes whose robot starts shifted and turned on the boards, as after a minute of pushes."""
-    drifted_start: float = setting(0.3, within=(0, 1), off=0.0, addition="drifted starts")
-    """Share of the episodes whose dead-reckoned velocity starts wrong, as after minutes without a turn."""
     steering_weight_peak: float = setting(
         3.0, within=(0, 100), off=1.0, addition="schedule of the steering reward's weight"
     )
@@ -89,6 +93,8 @@ class TaskConfig(Settings):
     leaves it alone. Turns are rewarded later and with more noise than speeds."""
     steering_weight_end: float = setting(2.0, within=(0, 100), off=1.0)
     """Value that this factor falls to from there until the run ends. Fewer robots fall at the end."""
+    fall_weight: float = setting(150.0, within=(0, 1e6), off=1.0, addition="weight of a fall")
+    """Factor of r17 in what is learned from. As printed, times dt, a fall costs less than a step of tracking earns."""
     rewards: dict[str, float] = setting({}, within=(-1e6, 1e6))
     """Weights of reward terms, by name, in place of the task's own: `list rewards`."""
     randomization: dict[str, Ranges] = setting({}, within=(-1e6, 1e6))

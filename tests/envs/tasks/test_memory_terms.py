@@ -70,16 +70,6 @@ def test_a_start_of_its_own_sees_the_state_that_an_episode_begins_with():
     assert torch.equal(step(env)["count"], started)
 
 
-@pytest.mark.parametrize("compiled", EAGER_AND_COMPILED)
-def test_random_starts_are_drawn_anew_for_each_episode_from_the_seed(compiled):
-    random = MemoryTerm(1, lambda c: c.memory["count"], start=lambda c: c.draws["count"][:, 1:], draws=2)
-    env = make(random, compiled=compiled)
-    first, second = env.reset()["count"], env.reset()["count"]
-    assert torch.cat([first, second]).unique().numel() == 6
-    assert ((first >= 0) & (first < 1)).all()
-    assert torch.equal(make(random, compiled=compiled).reset()["count"], first)
-
-
 @pytest.mark.parametrize(
     ("memory", "message"),
     [

@@ -23,6 +23,15 @@ def ends(check_interval: int) -> torch.Tensor:
     return env(check_interval).rollout(5 * LIMIT, break_when_any_done=False)["next", "truncated"].squeeze(-1)
 
 
+def ride(env, data, steps):
+    """Step on from ``data``; return when episodes end, (ENVS, steps) bool, and the last data."""
+    ends = []
+    for _ in range(steps):
+        stepped, data = env.step_and_maybe_reset(env.rand_action(data))
+        ends.append(stepped["next", "truncated"])
+    return torch.cat(ends, -1), data
+
+
 def test_first_episodes_end_anywhere_and_later_ones_last_their_time():
     done = env().rollout(3 * LIMIT, break_when_any_done=False)["next", "done"].squeeze(-1)
     first = done.int().argmax(-1)
@@ -49,13 +58,6 @@ def test_done_follows_truncated_at_every_step():
 
 
 def test_a_restored_state_goes_on_at_the_same_phase():
-    def ride(env, data, steps):
-        ends = []
-        for _ in range(steps):
-            stepped, data = env.step_and_maybe_reset(env.rand_action(data))
-            ends.append(stepped["next", "truncated"])
-        return torch.cat(ends, -1), data
-
     original, restored = env(check_interval=4), env(check_interval=4)
     _, data = ride(original, original.reset(), 6)
     restored.reset()
@@ -81,12 +83,25 @@ def test_episodes_become_longer_where_the_limit_grows():
     assert set(lengths[:, 50:].unique().tolist()) == {0, LIMIT}
 
 
-def test_a_restored_env_has_the_limit_that_it_had():
-    growth = TimeLimitGrowth(first=2, begin=20, end=40)
+def test_a_share_of_the_episodes_keeps_the_first_limit():
+    growth = TimeLimitGrowth(first=2, begin=0, end=0, kept=0.6)
+    data = env(growth=growth).rollout(2000, break_when_any_done=False)["next"]
+    ends = data["step_count"][data["truncated"]][100:]
+    assert set(ends.tolist()) == {2, LIMIT}
+    assert (ends == 2).float().mean().item() == pytest.approx(0.6, abs=0.03)
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.5])
+def test_a_restored_env_has_the_limits_that_it_had(kept):
+    growth = TimeLimitGrowth(first=2, begin=20, end=40, kept=kept)
     original, restored = env(growth=growth), env(growth=growth)
-    original.rollout(30, break_when_any_done=False)
+    _, data = ride(original, original.reset(), 30)
+    restored.reset()
     restored.transform.load_state_dict(original.transform.state_dict())
     assert 2 < restored.transform.limit == original.transform.limit < LIMIT
+    goes_on, wanted = (ride(each, data.clone(), 3 * LIMIT)[0] for each in (restored, original))
+    assert wanted.any()
+    assert torch.equal(goes_on, wanted)
 
 
 @pytest.mark.parametrize("check_interval", [0, -3])

@@ -30,7 +30,6 @@ class StepContext:
         scene: robot, support and their compiled nominal model.
         interpretation: answers to the paper's open questions.
         memory: values of the memory terms, by name, (N, size) each; memory terms see the step before.
-        draws: random numbers of the memory terms that need some to start, by name; only at the start of episodes.
         observations: the task's groups of observation terms, by key and name; for :meth:`sensed`.
         errors: of the sensors at this step, by the key of the group; exact groups are left out.
     """
@@ -45,7 +44,6 @@ class StepContext:
     memory: Mapping[str, Tensor] = field(default_factory=dict)
     observations: Mapping[NestedKey, Mapping[str, Any]] = field(default_factory=dict)
     errors: Mapping[NestedKey, GroupErrors] = field(default_factory=dict)
-    draws: Mapping[str, Tensor] = field(default_factory=dict)
 
     @property
     def robot(self) -> RobotSpec:

@@ -30,8 +30,6 @@ ACCELERATION_NOISE = 0.1
 """Standard deviation of the accelerometer's white noise that the filter assumes, m/s²."""
 START_STD = 0.01
 """Standard deviation of the velocity at the start of an episode, m/s."""
-DRIFT = 3.0
-"""Largest standard deviation of the velocity at the start of an episode that starts drifted, m/s."""
 SIDE_SLIP = 1.0
 """Standard deviation of the speed to the side, taken as a measurement of zero at every step, m/s.
 
@@ -40,21 +38,9 @@ measurements does not know. Of 0.5, 1, 2 and 4 m/s this one has the smallest err
 """
 
 
-def _start(c: StepContext, key: str = KEY, drifted: float = 0.0) -> Tensor:
-    """Return v_B in the body frame, m/s, (n, 3), with the error of episodes that start drifted."""
-    velocity = rotate_back(c.state.rotation, c.state.velocity)
-    return velocity + pad(_drift(c, key, drifted)[0].unsqueeze(-1), (0, 2)) if drifted else velocity
-
-
-def _drift(c: StepContext, key: str, share: float) -> tuple[Tensor, Tensor]:
-    """Return the error of the forward velocity at the start, and its standard deviation σ, m/s, (n,) each.
-
-    0 for robots that do not start drifted. σ is :data:`DRIFT` times the square of a uniform number, and the error
-    uniform in ±√3 σ.
-    """
-    which, size, error = c.draws[key].unbind(-1)
-    std = torch.where(which < share, DRIFT * size.square(), 0.0)
-    return math.sqrt(3.0) * std * (2.0 * error - 1.0), std
+def _start(c: StepContext) -> Tensor:
+    """Return v_B in the body frame, m/s, (n, 3): the velocity at the start of an episode is taken as known."""
+    return rotate_back(c.state.rotation, c.state.velocity)
 
 
 def _acceleration(c: StepContext) -> Tensor:
@@ -146,16 +132,12 @@ def _transition(yaw_rate: Tensor) -> Tensor:
     return torch.stack(rows, -1).unflatten(-1, (4, 4))
 
 
-def _start_filter(c: StepContext, key: str = KEY, drifted: float = 0.0) -> Tensor:
-    """Return state and covariance at the start of episodes, (n, 20): velocity known but for drift, bias unknown."""
+def _start_filter(c: StepContext) -> Tensor:
+    """Return state and covariance at the start of episodes, (n, 20): a known velocity, an unknown bias."""
     heading = c.state.euler.clone()
     heading[:, :2] = 0.0
     velocity = rotate_back(matrix_from_euler(*heading.unbind(-1)), c.state.velocity)[:, :2]
     covariance = _START_COVARIANCE.to(velocity).flatten().expand(len(velocity), -1)
-    if drifted:
-        error, std = _drift(c, key, drifted)
-        velocity = velocity + pad(error.unsqueeze(-1), (0, 1))
-        covariance = covariance + pad(std.square().unsqueeze(-1), (0, 15))
     return torch.cat([pad(velocity, (0, 2)), covariance], -1)
 
 
@@ -186,14 +168,12 @@ METHODS: Mapping[str, _Method] = {
 """Methods by name; each observes (N, 3), m/s."""
 
 
-def dead_reckoning(method: str = "kalman_filter", key: str = KEY, drifted: float = 0.0) -> tuple[Group, MemoryTerm]:
+def dead_reckoning(method: str = "kalman_filter", key: str = KEY) -> tuple[Group, MemoryTerm]:
     """Return the group that observes a dead-reckoned velocity, and the memory term that it needs.
 
     Args:
         method: one of :data:`METHODS`.
         key: name of the memory term, and of the observation.
-        drifted: share of the episodes that start with a wrong velocity, as after minutes without a turn (for training);
-            the others start with the true one.
 
     Raises:
         UnknownNameError: for an unknown method.
@@ -206,5 +186,4 @@ def dead_reckoning(method: str = "kalman_filter", key: str = KEY, drifted: float
     check_choice("velocity_filter", method, tuple(METHODS))
     chosen = METHODS[method]
     term = ObservationTerm(partial(chosen.observe, key=key), chosen.mirror, parts=chosen.parts, unit="m/s")
-    start = partial(chosen.start, key=key, drifted=drifted)
-    return {key: term}, MemoryTerm(chosen.size, partial(chosen.update, key=key), start, draws=3 if drifted else 0)
+    return {key: term}, MemoryTerm(chosen.size, partial(chosen.update, key=key), chosen.start)

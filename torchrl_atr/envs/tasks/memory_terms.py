@@ -27,25 +27,14 @@ class MemoryTerm:
         update: from a :class:`~torchrl_atr.envs.tasks.context.StepContext`, whose memory is that of the step before, to
             the new value, (N, D) float32.
         start: the same at the start of an episode; zero by default.
-        draws: random numbers, uniform in [0, 1), that ``start`` finds in ``c.draws[name]``, (n, draws).
 
     Example:
-        >>> clock = MemoryTerm(1, lambda c: (c.memory["clock"] + 0.02 * 2.0) % 1.0, lambda c: c.draws["clock"], draws=1)
+        >>> clock = MemoryTerm(1, lambda c: (c.memory["clock"] + 0.02 * 2.0) % 1.0)
     """
 
     size: int
     update: Callable[[StepContext], Tensor]
     start: Callable[[StepContext], Tensor] | None = None
-    draws: int = 0
-
-
-def drawn(terms: Mapping[str, MemoryTerm], n: int, generator: torch.Generator) -> dict[str, Tensor]:
-    """Return the random numbers with which the memory of n episodes starts, (n, draws) by name."""
-    return {
-        name: torch.rand(n, term.draws, generator=generator, dtype=torch.float32)
-        for name, term in terms.items()
-        if term.draws
-    }
 
 
 def started(terms: Mapping[str, MemoryTerm], context: StepContext) -> dict[str, Tensor]:
@@ -75,7 +64,6 @@ def check(terms: Mapping[str, MemoryTerm], context: StepContext) -> None:
     for name, term in terms.items():
         if not isinstance(term, MemoryTerm):
             raise MemoryTermError(f"the memory term {name!r} is {term!r}; give a MemoryTerm")
-    context.draws = drawn(terms, len(context.command), torch.Generator().manual_seed(0))
     begun = {name: _try(started, name, term, context)[name] for name, term in terms.items()}
     context.memory = begun
     for name, term in terms.items():

@@ -11,7 +11,7 @@ from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.finite import as_float32, bad_rows
 from torchrl_atr.envs.tasks.intrinsic_parameters import RANDOMIZATIONS, Intrinsics, Randomization
-from torchrl_atr.envs.tasks.memory_terms import MemoryTermError, drawn
+from torchrl_atr.envs.tasks.memory_terms import MemoryTermError
 from torchrl_atr.envs.tasks.reward_terms import TERMINATION
 from torchrl_atr.envs.tasks.sensor_errors import SensorErrors
 from torchrl_atr.envs.tasks.task import Task
@@ -121,8 +121,8 @@ class EpisodeRunner:
             x_int = torch.where(again.unsqueeze(-1), self.x_int[rows], x_int)
         begun = checked_start(self.task, self.task.reset(self.scene, command, self.rng), self.scene, n)
         self.engine.reset(rows, begun.qpos, begun.qvel, lambda fields: self.intrinsics.apply(fields, x_int))
-        errors, draws = self.sensor_errors.start(rows), drawn(self.task.memory, n, self.rng)
-        observed, velocities, memory, exact = self.terms.first(self._reader.gather(rows), command, x_int, errors, draws)
+        errors = self.sensor_errors.start(rows)
+        observed, velocities, memory, exact = self.terms.first(self._reader.gather(rows), command, x_int, errors)
         self.sensor_errors.remember(exact, rows)
         self._reader.velocities[rows] = velocities
         # out of place: callers may hold tensors that were returned before

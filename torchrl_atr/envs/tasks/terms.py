@@ -126,7 +126,7 @@ class TaskTerms:
         )
 
     def first(
-        self, snapshot: SimulationSnapshot, command: Tensor, x_int: Tensor, errors: Errors, draws: Mapping[str, Tensor]
+        self, snapshot: SimulationSnapshot, command: Tensor, x_int: Tensor, errors: Errors
     ) -> tuple[Observed, Tensor, Memory, Observed]:
         """Return observations, velocities, memory and exact values of groups with errors, at the start of episodes.
 
@@ -135,7 +135,6 @@ class TaskTerms:
         state, velocities = self.extractor.interpret(snapshot, None)
         action = torch.zeros(len(x_int), self.joints, dtype=torch.float32)
         context = self._context(state, command, action, action, {}, errors)
-        context.draws = draws
         context.memory = memory = memory_terms.started(self.task.memory, context)
         observed, exact = self._observed(context, x_int)
         return observed, velocities, memory, exact

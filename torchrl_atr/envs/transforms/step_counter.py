@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.envs.transforms import StepCounter
 
 from torchrl_atr._checks import check_whole
@@ -21,6 +22,7 @@ class TimeLimitGrowth(NamedTuple):
         first: limit until ``begin``, in steps.
         begin: step of the env from which the limit grows.
         end: step from which it is the final one.
+        kept: share of the episodes, those after a full reset excepted, that keep the first limit.
 
     Example:
         >>> growth = TimeLimitGrowth(first=100, begin=1000, end=2000)
@@ -31,6 +33,7 @@ class TimeLimitGrowth(NamedTuple):
     first: int
     begin: int
     end: int
+    kept: float = 0.0
 
     def limit(self, step: int, final: int) -> int:
         """Return the limit at a step of the env; ``final`` is the one in the end."""
@@ -70,7 +73,7 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
         True
     """
 
-    max_steps: int
+    max_steps: Any
 
     def __init__(
         self, max_steps: int, seed: int | None = None, check_interval: int = 1, growth: TimeLimitGrowth | None = None
@@ -82,6 +85,7 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
         self.check_interval, self.growth = check_interval, growth
         self._generator = make_generator(seed)
         self._steps = 0
+        self._short: Tensor | None = None  # mask of the episodes that keep the first limit
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         tensordict_reset = super()._reset(tensordict, tensordict_reset)
@@ -91,17 +95,28 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
                 count = tensordict_reset.get(count_key)
                 drawn = torch.randint(self.limit, count.shape, generator=self._source())  # on the CPU, always
                 tensordict_reset.set(count_key, drawn.to(count))
+                self._short = None
+            elif self.growth is not None and self.growth.kept:
+                begun = tensordict.get(reset_key)
+                drawn = torch.rand(begun.shape, generator=self._source()) < self.growth.kept
+                short = torch.zeros_like(begun) if self._short is None else self._short
+                self._short = torch.where(begun, drawn.to(begun.device), short)
         return tensordict_reset
 
     @property
     def limit(self) -> int:
-        """Time limit now, in steps."""
+        """Time limit now, in steps, of episodes that do not keep the first one."""
         return self.max_steps if self.growth is None else self.growth.limit(self._steps, self.max_steps)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         self._steps += 1
-        final, now = self.max_steps, self.limit
-        self.max_steps = _NEVER if self._steps % self.check_interval else now
+        final: int = self.max_steps
+        now: int | Tensor = self.limit
+        if self._steps % self.check_interval:
+            now = _NEVER
+        elif self._short is not None and self.growth is not None:
+            now = torch.where(self._short, self.growth.first, now)
+        self.max_steps = now  # StepCounter compares with a tensor, too
         try:
             return super()._step(tensordict, next_tensordict)
         finally:
@@ -109,9 +124,10 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return the env's steps since its last full reset, and the generator's state."""
-        return {"steps": self._steps, "generator": self._generator.get_state()}
+        short = {} if self._short is None else {"short": self._short.clone()}
+        return {"steps": self._steps, "generator": self._generator.get_state(), **short}
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`."""
-        self._steps = state["steps"]
+        self._steps, self._short = state["steps"], state.get("short")
         self._restore_generator(state["generator"])

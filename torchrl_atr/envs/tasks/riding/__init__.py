@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchrl_atr._checks import check_number
+from torchrl_atr._checks import check_flag, check_number
 from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import RobotSpec, Transporter, TransporterSpec, get_robot, get_transporter
 from torchrl_atr.envs.models.robot_file import describe_robot
@@ -26,6 +26,7 @@ from torchrl_atr.envs.tasks.riding.resets import TERMINATIONS, push, start
 from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS
 from torchrl_atr.envs.tasks.riding.state import RidingStateExtractor
 from torchrl_atr.envs.tasks.sensors import SensorSet, with_sensors
+from torchrl_atr.envs.tasks.support_tilt import NAME, support_tilt
 from torchrl_atr.envs.tasks.task import CommandSpace, Task
 from torchrl_atr.envs.transforms.grid import CommandGrid
 
@@ -48,15 +49,16 @@ def riding(
     profile: str | Interpretation = "default",
     sensors: str | SensorSet = "ideal",
     velocity_filter: str = "kalman_filter",
+    observe_tilt: bool = False,
     pushes: bool | Pushes = True,
     gains: Gains | None = None,
     moving_start: float = 0.0,
     displaced_start: float = 0.0,
-    drifted_start: float = 0.0,
     rewards: Mapping[str, RewardTerm] = RIDING_REWARDS,
     steering_weight_peak: float = 1.0,
     steering_weight_end: float = 1.0,
     steering_weight_peak_at: float = 1.0,
+    fall_weight: float = 1.0,
 ) -> Task:
     """Return the riding task: a robot on a transporter follows a forward speed and a yaw rate.
 
@@ -68,19 +70,20 @@ def riding(
         sensors: name of a set of sensor errors, ``"ideal"`` or ``"realistic"``, or your own.
         velocity_filter: method of ``dead_reckoned_velocity``, a name of
             :data:`~torchrl_atr.envs.tasks.dead_reckoning.METHODS`.
+        observe_tilt: whether the observation has the tilt of the feet's plane
+            (:mod:`~torchrl_atr.envs.tasks.support_tilt`).
         pushes: whether robot and transporter are pushed, every 3 s, or the sizes and interval.
         gains: nominal PD gains, see :data:`~torchrl_atr.envs.tasks.parameters.Gains`; None for the robot's own.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
             pushes (for training).
-        drifted_start: share of the episodes whose dead-reckoned velocity starts with an error of up to metres a second,
-            as after minutes without a turn (for training).
         rewards: the terms of the reward by name.
         steering_weight_peak: factor of r1 in the learner's reward, at its peak: it rises from 1 until
             ``steering_weight_peak_at``. The reward of a turn comes later and with more noise than that of a speed: once
             speeds are tracked, it may have a larger weight.
         steering_weight_end: the factor that it falls to from there until training ends, so that fewer robots fall.
         steering_weight_peak_at: share of the training, in (0, 1].
+        fall_weight: factor of r17, early termination, in the learner's reward.
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
@@ -94,17 +97,17 @@ def riding(
     pushed = Pushes.of(pushes)
     moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
     displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
-    drifted_start = check_number("drifted_start", drifted_start, 0.0, 1.0)
-    dead_reckoned, velocity = dead_reckoning(velocity_filter, drifted=drifted_start)
+    dead_reckoned, velocity = dead_reckoning(velocity_filter)
     interpretation = get_interpretation(profile)
     rider = with_gains(get_robot(robot), gains)
     spec = get_transporter(transporter, rider)
+    tilt = {NAME: support_tilt(rider)} if check_flag("observe_tilt", observe_tilt) else {}
     return Task(
         name="riding",
         robot=rider,
         support=Transporter(spec, interpretation),
         command=COMMANDS,
-        observations=observations(interpretation, with_sensors(PROPRIO, sensors), dead_reckoned),
+        observations=observations(interpretation, {**with_sensors(PROPRIO, sensors), **tilt}, dead_reckoned),
         rewards=rewards,
         intrinsics=riding_intrinsics(rider, spec, interpretation),
         terminations=TERMINATIONS,
@@ -115,7 +118,10 @@ def riding(
         state_extractor=RidingStateExtractor,
         substep_hook=DriveHook,
         interpretation=interpretation,
-        reward_schedule=_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),
+        reward_schedule={
+            **_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),
+            **_constant("termination", check_number("fall_weight", fall_weight, 0.0)),
+        },
         arguments={"robot": describe_robot(robot), "transporter": describe_transporter(spec), **gain_arguments(gains)},
     )
 
@@ -126,3 +132,7 @@ def _steering_schedule(peak: float, end: float, peak_at: float) -> dict[str, Cal
     if peak == end == 1.0:
         return {}
     return {"steering_command": partial(np.interp, xp=(0.0, peak_at, 1.0), fp=(1.0, peak, end))}
+
+
+def _constant(term: str, weight: float) -> dict[str, Callable[[float], float]]:
+    return {} if weight == 1.0 else {term: partial(np.interp, xp=(0.0, 1.0), fp=(weight, weight))}
