@@ -35,7 +35,7 @@ def test_it_acts_as_the_policy_does_in_its_env(tmp_path, settings):
     recorded = record(torchrl_atr.load_policy(tmp_path), steps=120)
     episode = {name: torch.from_numpy(value) for name, value in recorded.items()}
     assert episode["start"][1:].any()
-    history = torch.full((2, config.env.history_length, 46), torch.nan)  # whatever it is: episodes start first
+    history = torch.full(env.observation_spec["history"].shape, torch.nan)  # whatever it is: episodes start first
     state = {"history": history, "dead_reckoning": step.rest.expand(2, -1), "last_action": torch.zeros(2, 12)}
     errors = []
     for t in range(len(episode["start"])):
