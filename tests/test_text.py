@@ -125,7 +125,8 @@ def test_training_ends_with_where_the_run_is_and_what_comes_next(tmp_path, capsy
 
 
 def test_training_that_is_stopped_says_how_to_go_on(capsys):
-    trainer = SimpleNamespace(train=lambda: 15, run=Path("runs/x"), frames=1000, seconds=90.0)
+    learner = SimpleNamespace(networks=None)
+    trainer = SimpleNamespace(train=lambda: 15, run=Path("runs/x"), frames=1000, seconds=90.0, learner=learner)
     assert commands._train(trainer) == 143
     assert capsys.readouterr().out.splitlines() == [
         "stopped after 1,000 robot steps in 1.5 minutes; the run is in runs/x",

@@ -15,8 +15,12 @@ from torchrl_atr.training import Trainer, load_run, make_config
 TINY = {"env.num_envs": 2, "total_frames": 8, "ppo.rollout_steps": 2, "ppo.minibatches": 1, "compute.num_threads": 1}
 OTHERS = [
     {"task.velocity_filter": "integral", "task.interpretation.current_in_history": True},
-    {"task.velocity_filter": "leaky_integral", "task.interpretation.gravity_in_acceleration": True},
-    {"estimator.dead_reckoning": False, "env.history_length": 3, "task.transporter": "two_board"},
+    {
+        "task.velocity_filter": "leaky_integral",
+        "task.interpretation.gravity_in_acceleration": True,
+        "preset": "concurrent",
+    },
+    {"preset": "asymmetric", "env.history_length": 3, "task.transporter": "two_board"},
 ]
 
 
@@ -31,7 +35,7 @@ def test_it_acts_as_the_policy_does_in_its_env(tmp_path, settings):
     recorded = record(torchrl_atr.load_policy(tmp_path), steps=120)
     episode = {name: torch.from_numpy(value) for name, value in recorded.items()}
     assert episode["start"][1:].any()
-    history = torch.full((2, config.env.history_length, 46), torch.nan)  # whatever it is: episodes start first
+    history = torch.full(env.observation_spec["history"].shape, torch.nan)  # whatever it is: episodes start first
     state = {"history": history, "dead_reckoning": step.rest.expand(2, -1), "last_action": torch.zeros(2, 12)}
     errors = []
     for t in range(len(episode["start"])):

@@ -83,3 +83,37 @@ def test_a_map_is_saved_with_the_weights_and_the_identity_is_nothing():
 def test_a_map_without_an_inverse_is_refused(output_map):
     with pytest.raises(ValueError, match=r"output_map must be an invertible matrix, \(2, 2\)"):
         backbone(output_map=output_map)
+
+
+@pytest.mark.parametrize(
+    ("reads", "shapes"),
+    [
+        ((), []),
+        (("latent",), [(4,)]),
+        (("extrinsic",), [(2,)]),
+        (("history",), [(5, 3)]),
+        (("extrinsic", "history", "latent"), [(5, 3), (4,), (2,)]),
+    ],
+)
+def test_it_reads_what_it_is_told_to_and_the_mirrored_robot_acts_mirrored(reads, shapes):
+    """Observation (command, sides), state and action change sign or sides; the latent's halves change places."""
+    flip, sides = torch.diag(torch.tensor([1.0, -1.0, -1.0])), torch.tensor([[0.0, -1.0], [-1.0, 0.0]])
+    torch.manual_seed(0)
+    actor = ActorBackbone(
+        RunningNormalizer(3, reflection=flip),
+        RunningNormalizer(2, reflection=-torch.eye(2)) if "extrinsic" in reads else None,
+        4 if "latent" in reads else 0,
+        2,
+        cells=(8,),
+        reflection=sides,
+        history_length=5 if "history" in reads else 0,
+    )
+    mirrors = {"history": lambda x: x @ flip, "latent": lambda x: x.roll(2, -1), "extrinsic": lambda x: -x}
+    assert actor.reads == tuple(name for name in mirrors if name in reads)  # in this order, whatever is given
+    observation, *read = (torch.randn(7, *shape) for shape in [(3,), *shapes])
+    mean = actor(observation, *read)
+    mirrored = [mirrors[name](value) for name, value in zip(actor.reads, read, strict=True)]
+    torch.testing.assert_close(actor(observation @ flip, *mirrored), mean @ sides)
+    for i in range(len(read)):
+        changed = [value + (i == j) for j, value in enumerate(read)]
+        assert not torch.allclose(actor(observation, *changed), mean)

@@ -48,13 +48,20 @@ def train(words: Sequence[str]) -> int:
 
 def _config_from(run: Path, given: dict[str, Any]) -> tuple[TrainConfig, set[str]]:
     """Return another run's settings with the given ones in their place, and the names of the given task settings."""
-    from torchrl_atr.training import ConfigError, load_checkpoint, make_config
+    from torchrl_atr.training import PRESETS, ConfigError, load_checkpoint, make_config
+    from torchrl_atr.training.presets import STUDENTS
     from torchrl_atr.training.restoring import saved_settings
 
     settings = saved_settings(load_checkpoint(run), run, given.get("imports", ()))
-    if (preset := given.get("preset", settings["preset"])) != settings["preset"]:  # its settings are all taken
-        raise ConfigError(f"--preset {preset}: --from {run} keeps that run's, {settings['preset']}; leave it out")
-    return make_config(settings, given, {"imports": settings["imports"]}), set(given.get("task", ()))
+    preset = given.get("preset", settings["preset"])
+    second_phase = PRESETS.get(preset) if given.get("preset") in STUDENTS else {}
+    if preset != settings["preset"] and not second_phase:  # its settings are all taken
+        raise ConfigError(
+            f"--preset {preset}: --from {run} keeps that run's, {settings['preset']}; leave it out, or give one of a "
+            f"second phase: {', '.join(sorted(STUDENTS))}"
+        )
+    config = make_config(settings, second_phase, given, {"imports": settings["imports"]})
+    return config, set(given.get("task", ()))
 
 
 def _resume(arguments: TrainArguments) -> int:
@@ -86,7 +93,8 @@ def _train(trainer: Trainer) -> int:
     say(f"{'finished' if signal is None else 'stopped'} after {amount}; the run is in {run}")
     if signal is not None:
         say(f"go on with: torchrl-atr train --resume {run}")
-    say(f"measure it with: torchrl-atr evaluate {run}")
+    teacher = getattr(trainer.learner.networks, "is_teacher", False)
+    say(f"measure it with: torchrl-atr evaluate {run}{' --act-source privileged' if teacher else ''}")
     return 0 if signal is None else 128 + signal
 
 

@@ -40,7 +40,7 @@ def networks_with(config: TrainConfig, env: EnvBase, networks: ROANetworks) -> R
     swapped = make_run_networks(config, env)  # type: ignore[arg-type]
     rest = {name: value for name, value in networks.state_dict().items() if not name.startswith(_PARTS)}
     swapped.load_state_dict(rest, strict=False)
-    old, new = (each.extrinsic_estimator.side_norms for each in (networks, swapped))
+    old, new = (each.extrinsic_estimator.side_norms for each in (networks, swapped))  # type: ignore[union-attr]
     new.load_state_dict(old.state_dict())  # type: ignore[union-attr]
     swapped.command_range = networks.command_range
     return swapped.eval()
@@ -48,7 +48,8 @@ def networks_with(config: TrainConfig, env: EnvBase, networks: ROANetworks) -> R
 
 def entries_read(networks: ROANetworks) -> list[NestedKey]:
     """Return the entries that a training of the estimators reads from a recording; hidden states are not there."""
-    keys: list[NestedKey] = [networks.keys.extrinsic, *networks.encoder_module.in_keys]
+    encoder = networks.encoder_module
+    keys: list[NestedKey] = [networks.keys.extrinsic, *(encoder.in_keys if encoder is not None else ())]
     for module in networks.estimator_modules:
         own = set(state_keys(module))
         keys += [key for key in [*module.in_keys, *getattr(module, "loss_in_keys", ())] if key not in own]

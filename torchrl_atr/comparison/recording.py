@@ -164,6 +164,7 @@ def _kept(networks: ROANetworks, step: TensorDictBase, age: Tensor, further: Seq
     own = [keys.observation, keys.history, keys.intrinsic, keys.extrinsic, keys.action, *networks.estimator_inputs]
     # the latent is computed below, and the policy's hidden states are its own
     kept = step.select(*own, following, *(key for key in further if key != IS_INIT), strict=False)
+    assert encoder is not None  # else there is no comparison
     latent = encoder(step.select(*encoder.in_keys))[keys.latent]
     return kept.set(keys.latent, latent).set(IS_INIT, age == 0).set(AGE, age)
 

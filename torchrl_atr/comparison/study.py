@@ -63,7 +63,8 @@ class Study:
         tick: called often, while parts are made.
 
     Raises:
-        ComparisonError: if the networks have no encoder, or the folder holds a comparison with other settings.
+        ComparisonError: if the networks have no encoder or no extrinsic estimator, or the folder holds a comparison
+            with other settings.
     """
 
     def __init__(
@@ -76,11 +77,13 @@ class Study:
         announce: Callable[[str], object] = lambda line: None,
         tick: Callable[[], None] = lambda: None,
     ) -> None:
-        if getattr(networks, "encoder", None) is None:
-            raise ComparisonError(
-                "this run has no encoder, whose latent the estimators are to infer; compare them in a run that was "
-                "trained by regularised online adaptation"
-            )
+        for part, what in (("encoder", "latent"), ("extrinsic_estimator", "extrinsic state")):
+            if getattr(networks, part, None) is None:
+                raise ComparisonError(
+                    f"this run has no {part.replace('_', ' ')}: its actor does not read the {what} that the estimators "
+                    "are to infer; compare them in a run with roa.actor_reads=latent,extrinsic, such as the preset "
+                    "default's"
+                )
         self.config, self.env, self.networks = config, env, networks
         self.folder, self.options = folder, options
         self._announce, self._tick = announce, tick

@@ -126,6 +126,7 @@ def describe_policy(
         "estimates": [
             {"name": name, "size": size, "unit": estimated[name].unit, "parts": _parts(estimated[name], size)}
             for name, size in sizes["privileged", "extrinsic"].items()
+            if "extrinsic" in config.roa.actor_reads
         ],
         "training": dict(provenance),
         "versions": {

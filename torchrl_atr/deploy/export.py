@@ -78,6 +78,7 @@ def export_run(
 def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoint: str | None) -> Parity:
     config, env, networks, state = load_run(run, checkpoint, imports, num_envs=_BATCH)
     with closing(env):
+        networks.deployed_policy()  # a teacher has none
         base = env.base_env
         grid, recorded = config.grid, networks.command_range
         assert grid is not None  # of riding; other tasks are refused in the next line but one

@@ -31,7 +31,8 @@ class StepOutput(NamedTuple):
         action: joint displacement in units of the action scale.
         joint_targets: q0 + scale · action within the joints' control ranges, rad.
         command_in_force: the command, clipped to the range.
-        latent, extrinsic: estimates of the intrinsics' latent and of the extrinsic state (SI units).
+        latent, extrinsic: estimates of the intrinsics' latent and of the extrinsic state (SI units), (N, 0) of what the
+            actor does not read.
         dead_reckoned_velocity: m/s.
         next_history, next_dead_reckoning: state for the next step; ``action`` is the third part of it.
     """
@@ -148,9 +149,13 @@ class PolicyStep(nn.Module):
         reckoned = torch.where(start, self.rest, moved)
         velocity = self.method.observe(_Sensed({KEY: reckoned}, {}, self.interpretation), KEY)
         shown, networks = newest if self.interpretation.current_in_history else history, self.networks
-        latent = networks.intrinsic_estimator(shown)
-        extrinsic = networks.extrinsic_estimator(shown, *([velocity] if networks.estimator_inputs else []))
-        action = networks.backbone(observation, latent, extrinsic)
+        latent = extrinsic = observation[:, :0]
+        if networks.intrinsic_estimator is not None:
+            latent = networks.intrinsic_estimator(shown)
+        if networks.extrinsic_estimator is not None:
+            extrinsic = networks.extrinsic_estimator(shown, *([velocity] if networks.estimator_inputs else []))
+        read = {"history": shown, "latent": latent, "extrinsic": extrinsic}
+        action = networks.backbone(observation, *(read[name] for name in networks.backbone.reads))
         targets = torch.clamp(self.q0 + self.scale * action, self.low, self.high)
         return StepOutput(action, targets, command, latent, extrinsic, velocity, newest, reckoned)
 

@@ -5,7 +5,14 @@ critic, and :func:`make_networks`, which builds them all from an env's specs.
 """
 
 from torchrl_atr.modules.act_scale import ActScale
-from torchrl_atr.modules.act_source import ACT_SOURCES, ActSource, ActSourceName, AssignActSource
+from torchrl_atr.modules.act_source import (
+    ACT_SOURCES,
+    ACTOR_INPUTS,
+    ActorInput,
+    ActSource,
+    ActSourceName,
+    AssignActSource,
+)
 from torchrl_atr.modules.action_noise import CorrelatedGaussian, RotatedNormal, with_correlated_noise
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.checks import check_estimator
@@ -36,12 +43,14 @@ from torchrl_atr.modules.single_estimator import make_estimator
 from torchrl_atr.modules.symmetry import EquivariantLinear, equivariant_mlp
 
 __all__ = [
+    "ACTOR_INPUTS",
     "ACT_SOURCES",
     "COMMAND_RANGE_FILE",
     "ActScale",
     "ActSource",
     "ActSourceName",
     "ActorBackbone",
+    "ActorInput",
     "AssignActSource",
     "AsymmetricCritic",
     "CNNGRUEstimator",

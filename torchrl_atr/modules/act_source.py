@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, get_args
 
 import torch
@@ -13,6 +14,9 @@ from torchrl_atr.modules.keys import NetworkKeys
 
 ActSourceName = Literal["privileged", "estimated", "mixed"]
 ACT_SOURCES: tuple[str, ...] = get_args(ActSourceName)
+ActorInput = Literal["history", "latent", "extrinsic"]
+ACTOR_INPUTS: tuple[ActorInput, ...] = get_args(ActorInput)
+"""What an actor may read beside the observation, in the order in which it reads it."""
 _KEYS = NetworkKeys()
 
 
@@ -23,7 +27,7 @@ def check_source(source: str) -> None:
 
 
 class ActSource(TensorDictModuleBase):
-    """Module that writes the actor's inputs ``("act", "intrinsic")`` and ``("act", "extrinsic")``.
+    """Module that writes the actor's inputs ``("act", "intrinsic")`` and ``("act", "extrinsic")``, or one of them.
 
     ==============  ======================================================================================
     ``privileged``  z of the encoder, with its gradient, and the true extrinsic state: for training
@@ -36,6 +40,7 @@ class ActSource(TensorDictModuleBase):
 
     Args:
         source (str): one of the three above.
+        reads (sequence of str): ``latent``, ``extrinsic`` or both: what the actor reads. Defaults to both.
         latent, extrinsic (NestedKey): the privileged inputs, (*B, L) and (*B, E).
         intrinsic_estimate, extrinsic_estimate (NestedKey): the estimates, same shapes.
         student (NestedKey): the mask of ``mixed``, (*B, 1) bool.
@@ -54,6 +59,7 @@ class ActSource(TensorDictModuleBase):
         self,
         source: ActSourceName,
         *,
+        reads: Sequence[str] = ("latent", "extrinsic"),
         latent: NestedKey = _KEYS.latent,
         extrinsic: NestedKey = _KEYS.extrinsic,
         intrinsic_estimate: NestedKey = _KEYS.intrinsic_estimate,
@@ -65,13 +71,15 @@ class ActSource(TensorDictModuleBase):
         super().__init__()
         check_source(source)
         self.source = source
-        truth, estimate = [latent, extrinsic], [intrinsic_estimate, extrinsic_estimate]
-        reads = {"privileged": truth, "estimated": estimate, "mixed": [*truth, *estimate, student]}
-        self.in_keys = reads[source]
-        self.out_keys = [act_intrinsic, act_extrinsic]
+        keys = {
+            "latent": (latent, intrinsic_estimate, act_intrinsic),
+            "extrinsic": (extrinsic, extrinsic_estimate, act_extrinsic),
+        }
+        truth, estimate, self.out_keys = ([keys[name][part] for name in reads] for part in range(3))
+        self.in_keys = {"privileged": truth, "estimated": estimate, "mixed": [*truth, *estimate, student]}[source]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write the two act entries into ``tensordict`` and return it."""
+        """Write the act entries into ``tensordict`` and return it."""
         inputs = [self._get(tensordict, key) for key in self.in_keys]
         if self.source == "privileged":
             chosen = inputs
@@ -79,7 +87,7 @@ class ActSource(TensorDictModuleBase):
             chosen = [value.detach() for value in inputs]
         else:
             *values, student = inputs
-            truth, estimate = values[:2], values[2:]
+            truth, estimate = values[: len(self.out_keys)], values[len(self.out_keys) :]
             chosen = [torch.where(student, e.detach(), t) for t, e in zip(truth, estimate)]
         for key, value in zip(self.out_keys, chosen):
             tensordict.set(key, value)

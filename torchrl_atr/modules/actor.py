@@ -18,6 +18,8 @@ from torchrl_atr.modules.symmetry import check_reflection, halves_swapped, join_
 
 INPUT_GAIN = 4.0
 """Factor of product and error inputs: Adam's steps are alike for all weights, so a larger input is learned faster."""
+HISTORY_FEATURES = 16
+"""Units that each past observation is embedded in, by one layer shared over time."""
 ERROR_SCALE = 0.5
 """Error at which an error input is tanh(1), in the units of the command; that of the tracking rewards' kernel."""
 
@@ -29,8 +31,9 @@ class ActorBackbone(nn.Module):
     scale). Exploration is not part of it: see :class:`~torchrl_atr.modules.Exploration`.
 
     Args:
-        observation_norm, extrinsic_norm (RunningNormalizer): shared with critic and estimators.
-        latent_features (int): size of the latent, L.
+        observation_norm (RunningNormalizer): shared with critic and estimators.
+        extrinsic_norm (RunningNormalizer, optional): the same; None for an actor that reads no extrinsic state.
+        latent_features (int): size of the latent, L; 0 for an actor that reads none.
         action_features (int): number of actions, A.
         cells (sequence of int): hidden widths. Defaults to ``(512, 256, 128)``.
         input_products (sequence of pairs of int): for every ``(i, j)`` the network also reads ``tanh(x_i) * x_j`` of
@@ -49,6 +52,12 @@ class ActorBackbone(nn.Module):
             all outputs. None, the default, is the identity.
         reads_scale (bool): whether it also reads the standard deviations of latent and extrinsic state. Defaults to
             False.
+        history_length (int): H, past observations that it reads, each through one layer of
+            :data:`HISTORY_FEATURES` units. Defaults to 0.
+
+    Attributes:
+        reads (tuple of str): what it reads beside the observation, in order: ``history``, ``latent``, ``extrinsic``,
+            ``latent_scale`` and ``extrinsic_scale``, or some of these.
 
     Raises:
         ValueError: for a product or an error of entries that do not exist, for an output map of another size or
@@ -71,7 +80,7 @@ class ActorBackbone(nn.Module):
     def __init__(
         self,
         observation_norm: RunningNormalizer,
-        extrinsic_norm: RunningNormalizer,
+        extrinsic_norm: RunningNormalizer | None,
         latent_features: int,
         action_features: int,
         cells: Sequence[int] = (512, 256, 128),
@@ -80,9 +89,10 @@ class ActorBackbone(nn.Module):
         output_map: Tensor | None = None,
         reads_scale: bool = False,
         input_errors: Sequence[tuple[int, int]] = (),
+        history_length: int = 0,
     ) -> None:
         super().__init__()
-        size, states = observation_norm.shape.numel(), extrinsic_norm.shape.numel()
+        size, states = observation_norm.shape.numel(), 0 if extrinsic_norm is None else extrinsic_norm.shape.numel()
         _check_pairs("input_errors", input_errors, size, states)
         _check_pairs("input_products", input_products, *[size + len(input_errors)] * 2)
         for names, chosen in (("_gates", "_gated"), input_products), (("_commanded", "_followed"), input_errors):
@@ -93,43 +103,65 @@ class ActorBackbone(nn.Module):
         self.register_buffer("output_map", output_map)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
-        self.reads_scale = reads_scale
-        estimated = latent_features + states
-        in_features = size + len(input_errors) + len(input_products) + (2 if reads_scale else 1) * estimated
+        estimated = {name: width for name, width in (("latent", latent_features), ("extrinsic", states)) if width}
+        scales = {f"{name}_scale": width for name, width in estimated.items() if reads_scale}
+        history = {"history": history_length * HISTORY_FEATURES} if history_length else {}
+        widths = {**history, **estimated, **scales}
+        self.reads = tuple(widths)
+        in_features = size + len(input_errors) + len(input_products) + sum(widths.values())
         reflections = None
         if reflection is not None:
             mirror = check_reflection(reflection, action_features, "the action's reflection")
             mirror = mirror if output_map is None else _output_reflection(mirror, output_map)
-            reflections = self._input_reflection(latent_features), mirror
+            reflections = self._input_reflection(latent_features, history_length), mirror
+        if history_length:
+            embedded = halves_swapped(HISTORY_FEATURES)
+            sides = None if reflection is None else (join_reflections(observation_norm.reflection), embedded)
+            self.history_net = make_mlp(size, HISTORY_FEATURES, (), sides)
         self.net = make_mlp(in_features, action_features, cells, reflections)
 
-    def _input_reflection(self, latent_features: int) -> Tensor:
+    def _input_reflection(self, latent_features: int, history_length: int) -> Tensor:
         observation = join_reflections(self.observation_norm.reflection)
-        extrinsic = join_reflections(self.extrinsic_norm.reflection)
+        parts = {"history": [halves_swapped(HISTORY_FEATURES)] * history_length}
+        if latent_features:
+            parts["latent"] = [halves_swapped(latent_features)]
         errors = observation.diagonal()[self._commanded]
-        if not torch.equal(errors, extrinsic.diagonal()[self._followed]):
-            raise ValueError("input_errors pair entries of unlike mirror images")
+        if self.extrinsic_norm is not None:
+            parts["extrinsic"] = [extrinsic := join_reflections(self.extrinsic_norm.reflection)]
+            if not torch.equal(errors, extrinsic.diagonal()[self._followed]):
+                raise ValueError("input_errors pair entries of unlike mirror images")
+        # standard deviations change places, never signs
+        parts |= {f"{name}_scale": [each.abs() for each in part] for name, part in parts.items()}
         signs = torch.cat([observation.diagonal(), errors])
         products = signs[self._gates] * signs[self._gated]
-        estimated = join_reflections(halves_swapped(latent_features), extrinsic)
-        scales = [estimated.abs()] * self.reads_scale  # standard deviations change places, never signs
-        return join_reflections(observation, torch.diag(errors), torch.diag(products), estimated, *scales)
+        read = [each for name in self.reads for each in parts[name]]
+        return join_reflections(observation, torch.diag(errors), torch.diag(products), *read)
 
-    def forward(self, observation: Tensor, intrinsic: Tensor, extrinsic: Tensor, *scales: Tensor) -> Tensor:
-        """Return the mean action (*B, A) from (*B, O), (*B, L) and (*B, E), raw, in SI units.
+    def forward(self, observation: Tensor, *read: Tensor) -> Tensor:
+        """Return the mean action (*B, A).
 
-        With ``reads_scale`` the standard deviations of latent and extrinsic state follow, in the same units.
+        Args:
+            observation (Tensor): (*B, O), raw, in SI units, as all of them.
+            *read (Tensor): one for each of :attr:`reads`: history (*B, H, O), latent (*B, L) and extrinsic state
+                (*B, E), and standard deviations of the latter two in the same units.
         """
-        x = self.observation_norm(observation)
-        errors = ((extrinsic[..., self._followed] - observation[..., self._commanded]) / ERROR_SCALE).tanh()
+        x, given = self.observation_norm(observation), dict(zip(self.reads, read))
+        errors = x[..., :0]
+        if self.extrinsic_norm is not None:
+            followed = given["extrinsic"][..., self._followed]
+            errors = ((followed - observation[..., self._commanded]) / ERROR_SCALE).tanh()
         factors = torch.cat([x, errors], -1)
         products = factors[..., self._gates].tanh() * factors[..., self._gated]
-        read = [x, INPUT_GAIN * errors, INPUT_GAIN * products, intrinsic, self.extrinsic_norm(extrinsic)]
-        if self.reads_scale:
-            intrinsic_scale, extrinsic_scale = scales
-            read += [intrinsic_scale, extrinsic_scale / self.extrinsic_norm.std]
-        outputs = self.net(torch.cat(read, -1))
+        further = [self._normalized(name, value) for name, value in given.items()]
+        outputs = self.net(torch.cat([x, INPUT_GAIN * errors, INPUT_GAIN * products, *further], -1))
         return outputs if self.output_map is None else outputs @ self.output_map
+
+    def _normalized(self, name: str, value: Tensor) -> Tensor:
+        if name == "history":
+            return nn.functional.elu(self.history_net(self.observation_norm(value))).flatten(-2)
+        if self.extrinsic_norm is None or name.startswith("latent"):
+            return value
+        return self.extrinsic_norm(value) if name == "extrinsic" else value / self.extrinsic_norm.std
 
 
 def _check_pairs(name: str, pairs: Sequence[tuple[int, int]], *sizes: int) -> None:
@@ -164,6 +196,7 @@ def make_actor(
     exploration: Exploration,
     *front: TensorDictModuleBase,
     observation: NestedKey = NetworkKeys.observation,
+    history: NestedKey = NetworkKeys.history,
     act_intrinsic: NestedKey = NetworkKeys.act_intrinsic,
     act_extrinsic: NestedKey = NetworkKeys.act_extrinsic,
     act_scales: Sequence[NestedKey] = (),
@@ -176,8 +209,9 @@ def make_actor(
         exploration (Exploration): writes the standard deviations, ``scale``; shared likewise.
         *front (TensorDictModuleBase): run first, in order: encoder, estimators, act source.
         observation (NestedKey): read by the backbone.
-        act_intrinsic (NestedKey): read by the backbone, written by the front.
-        act_extrinsic (NestedKey): the same.
+        history (NestedKey): read by the backbone if it reads a history.
+        act_intrinsic (NestedKey): read by the backbone if it reads a latent, written by the front.
+        act_extrinsic (NestedKey): the same for the extrinsic state.
         act_scales (sequence of NestedKey): standard deviations of both, for a backbone that reads them.
         action (NestedKey): the output, with ``<action>_log_prob`` beside it.
 
@@ -190,9 +224,9 @@ def make_actor(
         >>> make_actor(backbone, Exploration(2)).in_keys
         ['observation', ('act', 'intrinsic'), ('act', 'extrinsic')]
     """
-    mean = TensorDictModule(
-        backbone, in_keys=[observation, act_intrinsic, act_extrinsic, *act_scales], out_keys=["loc"]
-    )
+    keys = {"history": history, "latent": act_intrinsic, "extrinsic": act_extrinsic}
+    read = [keys[name] for name in backbone.reads if name in keys]
+    mean = TensorDictModule(backbone, in_keys=[observation, *read, *act_scales], out_keys=["loc"])
     spread = TensorDictModule(exploration, in_keys=["loc"], out_keys=["scale"])
     return ProbabilisticActor(
         TensorDictSequential(*front, mean, spread),

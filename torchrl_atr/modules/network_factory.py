@@ -12,7 +12,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec
 
-from torchrl_atr._checks import check_flag, check_kind, check_whole
+from torchrl_atr._checks import check_choice, check_flag, check_kind, check_whole
+from torchrl_atr.modules.act_source import ACTOR_INPUTS, ActorInput
 from torchrl_atr.modules.actor import ActorBackbone
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.dtype import default_dtype
@@ -41,6 +42,7 @@ def make_networks(
     estimator_kwargs: Mapping[str, Any] | None = None,
     estimator_inputs: Sequence[NestedKey] = (),
     shared_estimator: bool = False,
+    actor_reads: Sequence[ActorInput] = ("latent", "extrinsic"),
     actor_reads_scale: bool = False,
     latent_features: int = 16,
     encoder_cells: Sequence[int] = (128, 64),
@@ -67,6 +69,9 @@ def make_networks(
         estimator_inputs (sequence of NestedKey): entries that the extrinsic estimator reads beside the history, such as
             ``["dead_reckoned_velocity"]``. The deployed policy reads them too. Defaults to none.
         shared_estimator (bool): whether one estimator has both roles. Defaults to False: one for each.
+        actor_reads (sequence of str): what the actor reads beside the observation: ``history``, ``latent``,
+            ``extrinsic``, or some of these, in any order. There is an encoder, and an estimator, of what it reads
+            alone. Defaults to latent and extrinsic state.
         actor_reads_scale (bool): whether the actor also reads the estimates' standard deviations, which the estimator
             must then write, and zeros for what is privileged. Defaults to False.
         latent_features (int): size of z. Defaults to 16.
@@ -111,6 +116,9 @@ def make_networks(
     check_widths(actor_cells=actor_cells, critic_cells=critic_cells, encoder_cells=encoder_cells)
     check_flag("privileged_critic", privileged_critic)
     check_flag("shared_estimator", shared_estimator)
+    check_kind("actor_reads", actor_reads, (list, tuple), f"a list of some of {', '.join(ACTOR_INPUTS)}")
+    for name in actor_reads:
+        check_choice("actor_reads", name, ACTOR_INPUTS)
     check_flag("actor_reads_scale", actor_reads_scale)
     check_kind("estimator_kwargs", estimator_kwargs, Mapping, "a mapping of arguments", optional=True)
     check_kind("exploration", exploration, Exploration, "Exploration(actions, ...)", optional=True)
@@ -121,14 +129,17 @@ def make_networks(
     obs, intrinsic, extrinsic = _observation_sizes(observation_spec, keys)
     (actions,) = entry_shape(action_spec, keys.action, 1)
     factory, options = get_estimator(estimator), dict(estimator_kwargs or {})
-    specs = estimator_specs(observation_spec, latent_features, keys, estimator_inputs, shared_estimator)
+    specs = estimator_specs(observation_spec, latent_features, keys, estimator_inputs, shared_estimator, actor_reads)
+    reads_latent, reads_extrinsic = (name in actor_reads for name in ("latent", "extrinsic"))
     mirror = partial(_reflection, reflections)
     with default_dtype(entry(observation_spec, keys.observation).dtype):
         side_norms = _norms(observation_spec, "estimator_inputs", estimator_inputs, mirror)
         input_norms = _norms(observation_spec, "critic_inputs", critic_inputs, mirror)
         obs_norm = RunningNormalizer(obs, reflection=mirror(keys.observation))
         ext_norm = RunningNormalizer(extrinsic, reflection=mirror(keys.extrinsic))
-        encoder = IntrinsicEncoder(intrinsic, latent_features, encoder_cells, mirror(keys.intrinsic))
+        encoder = None
+        if reads_latent:
+            encoder = IntrinsicEncoder(intrinsic, latent_features, encoder_cells, mirror(keys.intrinsic))
         norms = obs_norm, ext_norm, dict(zip(estimator_inputs, side_norms))
         nets = {role: build_estimator(factory, each, **options) for role, each in specs.items()}
         estimators = {role: _normalized(nets[role], each, *norms) for role, each in specs.items()}
@@ -136,8 +147,8 @@ def make_networks(
             _check_scales(estimator, estimators.values())
         backbone = ActorBackbone(
             obs_norm,
-            ext_norm,
-            latent_features,
+            ext_norm if reads_extrinsic else None,
+            latent_features if reads_latent else 0,
             actions,
             actor_cells,
             input_products,
@@ -145,6 +156,7 @@ def make_networks(
             output_map,
             actor_reads_scale,
             input_errors,
+            entry_shape(observation_spec, keys.history, 2)[0] if "history" in actor_reads else 0,
         )
         critic = AsymmetricCritic(
             obs_norm,
@@ -158,8 +170,8 @@ def make_networks(
             obs_norm=obs_norm,
             ext_norm=ext_norm,
             encoder=encoder,
-            intrinsic_estimator=estimators["both" if shared_estimator else "intrinsic"],
-            extrinsic_estimator=estimators["both" if shared_estimator else "extrinsic"],
+            intrinsic_estimator=estimators.get("both" if shared_estimator else "intrinsic"),
+            extrinsic_estimator=estimators.get("both" if shared_estimator else "extrinsic"),
             backbone=backbone,
             exploration=_exploration_of(actions, exploration),
             critic=critic,

@@ -11,6 +11,7 @@ from tensordict.nn import TensorDictModule, TensorDictModuleBase
 from torch import nn
 from torchrl.modules import ProbabilisticActor, ValueOperator
 
+from torchrl_atr._errors import InputError
 from torchrl_atr.modules.act_scale import ActScale
 from torchrl_atr.modules.act_source import ActSource, ActSourceName, AssignActSource, check_source
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
@@ -30,9 +31,10 @@ class ROANetworks(nn.Module):
 
     Args:
         obs_norm, ext_norm (RunningNormalizer): of the observation and of the extrinsic state (SI units).
-        encoder (nn.Module): intrinsic parameters to latent.
-        intrinsic_estimator, extrinsic_estimator (NormalizedEstimator or EstimatorModule): of the latent, of the
-            extrinsic state; an :class:`EstimatorModule` of both may be given as both.
+        encoder (nn.Module, optional): intrinsic parameters to latent; None where the actor reads no latent.
+        intrinsic_estimator, extrinsic_estimator (NormalizedEstimator or EstimatorModule, optional): of the latent, of
+            the extrinsic state; an :class:`EstimatorModule` of both may be given as both. None for what the actor does
+            not read.
         backbone (ActorBackbone): the actor's mean action.
         exploration (Exploration): the actor's standard deviations.
         critic (AsymmetricCritic): the value.
@@ -43,6 +45,7 @@ class ROANetworks(nn.Module):
 
     Attributes:
         command_range (CommandRange or None): range to which the deployed policy's commands are clipped; initially None.
+        is_teacher (bool): whether it acts on privileged information alone, its estimators untrained; initially False.
 
     Example:
         >>> from torchrl.data import Composite, Unbounded
@@ -59,9 +62,9 @@ class ROANetworks(nn.Module):
         *,
         obs_norm: RunningNormalizer,
         ext_norm: RunningNormalizer,
-        encoder: nn.Module,
-        intrinsic_estimator: NormalizedEstimator | EstimatorModule,
-        extrinsic_estimator: NormalizedEstimator | EstimatorModule,
+        encoder: nn.Module | None = None,
+        intrinsic_estimator: NormalizedEstimator | EstimatorModule | None = None,
+        extrinsic_estimator: NormalizedEstimator | EstimatorModule | None = None,
         backbone: ActorBackbone,
         exploration: Exploration,
         critic: AsymmetricCritic,
@@ -79,33 +82,37 @@ class ROANetworks(nn.Module):
         self.estimator_inputs, self.critic_inputs = tuple(estimator_inputs), tuple(critic_inputs)
         self.keys = keys or NetworkKeys()
         self.command_range: CommandRange | None = None
+        self.is_teacher = False
 
     @property
-    def encoder_module(self) -> TensorDictModule:
-        """Encoder: intrinsic parameters (*B, I) to the latent z (*B, L)."""
+    def encoder_module(self) -> TensorDictModule | None:
+        """Encoder: intrinsic parameters (*B, I) to the latent z (*B, L); None without one, as the estimators."""
+        if self.encoder is None:
+            return None
         return TensorDictModule(self.encoder, in_keys=[self.keys.intrinsic], out_keys=[self.keys.latent])
 
     @property
-    def intrinsic_estimator_module(self) -> TensorDictModuleBase:
+    def intrinsic_estimator_module(self) -> TensorDictModuleBase | None:
         """Intrinsic estimator: history (*B, H, D), or what it declares, to the estimated latent (*B, L)."""
-        if isinstance(self.intrinsic_estimator, TensorDictModuleBase):
+        if self.intrinsic_estimator is None or isinstance(self.intrinsic_estimator, TensorDictModuleBase):
             return self.intrinsic_estimator
         keys = self.keys
         return TensorDictModule(self.intrinsic_estimator, in_keys=[keys.history], out_keys=[keys.intrinsic_estimate])
 
     @property
-    def extrinsic_estimator_module(self) -> TensorDictModuleBase:
+    def extrinsic_estimator_module(self) -> TensorDictModuleBase | None:
         """Extrinsic estimator: history (*B, H, D) and ``estimator_inputs`` to the extrinsic state (*B, E), SI units."""
-        if isinstance(self.extrinsic_estimator, TensorDictModuleBase):
+        if self.extrinsic_estimator is None or isinstance(self.extrinsic_estimator, TensorDictModuleBase):
             return self.extrinsic_estimator
         in_keys = [self.keys.history, *self.estimator_inputs]
         return TensorDictModule(self.extrinsic_estimator, in_keys=in_keys, out_keys=[self.keys.extrinsic_estimate])
 
     @property
     def estimator_modules(self) -> list[TensorDictModuleBase]:
-        """Both estimators; the one that has both roles alone."""
+        """Both estimators, or those that there are; the one that has both roles alone."""
         shared = self.intrinsic_estimator is self.extrinsic_estimator
-        return [self.intrinsic_estimator_module, *[self.extrinsic_estimator_module] * (not shared)]
+        found = [self.intrinsic_estimator_module, *[self.extrinsic_estimator_module] * (not shared)]
+        return [module for module in found if module is not None]
 
     @property
     def critic_module(self) -> ValueOperator:
@@ -123,8 +130,7 @@ class ROANetworks(nn.Module):
         estimators moved.
         """
         check_source(source)
-        front = [] if source == "estimated" else [self.encoder_module]
-        return self._actor(source, *front)
+        return self._actor(source, *([] if source == "estimated" else self._encoders))
 
     def rollout_policy(self, source: ActSourceName = "privileged", student_fraction: float = 0.5) -> ProbabilisticActor:
         """Return the actor for collection; it computes and records the inputs of :meth:`training_actor`.
@@ -134,15 +140,24 @@ class ROANetworks(nn.Module):
         Args:
             source (str): ``privileged``, ``estimated`` or ``mixed``.
             student_fraction (float): with ``mixed``, the share of robots that act on the estimates.
+
+        Raises:
+            InputError: if a teacher is to act on estimates.
         """
         check_source(source)
         estimators = self.estimator_modules
         if source == "privileged":
-            return self._actor(source, self.encoder_module, *(each for each in estimators if state_keys(each)))
+            return self._actor(source, *self._encoders, *(each for each in estimators if state_keys(each)))
+        if self.is_teacher:
+            raise InputError(
+                "this policy is a teacher, which acts on privileged information: its estimators were not trained. "
+                "Measure it with `torchrl-atr evaluate --act-source privileged` (here: source='privileged'); to deploy "
+                "it, train a student: `torchrl-atr train --preset rma --from RUN`, docs/adaptation.md"
+            )
         if source == "estimated":
             return self._actor(source, *estimators)
         assign = AssignActSource(student_fraction, reference=self.keys.observation, student=self.keys.student)
-        return self._actor(source, self.encoder_module, *estimators, assign)
+        return self._actor(source, *self._encoders, *estimators, assign)
 
     def deployed_policy(self) -> TensorDictModuleBase:
         """Return the policy for deployment: it reads history, observation and ``estimator_inputs``, nothing else.
@@ -170,7 +185,7 @@ class ROANetworks(nn.Module):
         normalizers: list[tuple[NestedKey, Any]] = [
             (self.keys.observation, self.obs_norm),
             (self.keys.extrinsic, self.ext_norm),
-            *zip(self.estimator_inputs, self.extrinsic_estimator.side_norms),
+            *zip(self.estimator_inputs, getattr(self.extrinsic_estimator, "side_norms", ())),
             *zip(self.critic_inputs, self.critic.input_norms),
         ]
         for key, norm in normalizers:
@@ -182,16 +197,21 @@ class ROANetworks(nn.Module):
     def policy_parameters(self) -> Iterator[nn.Parameter]:
         """Iterate over the parameters that PPO and the ROA term train: encoder, actor, exploration and critic."""
         trained = (self.encoder, self.backbone, self.exploration, self.critic)
-        return chain.from_iterable(network.parameters() for network in trained)
+        return chain.from_iterable(network.parameters() for network in trained if network is not None)
 
     def estimator_parameters(self) -> Iterator[nn.Parameter]:
-        """Iterate over the parameters that the estimator losses train: both estimators."""
+        """Iterate over the parameters that the estimator losses train: those of the estimators."""
         return chain.from_iterable(estimator.parameters() for estimator in self.estimator_modules)
 
+    @property
+    def _encoders(self) -> list[TensorDictModule]:
+        return [] if (module := self.encoder_module) is None else [module]
+
     def _actor(self, source: ActSourceName, *front: Any) -> ProbabilisticActor:
-        keys = self.keys
+        keys, reads = self.keys, [name for name in ("latent", "extrinsic") if name in self.backbone.reads]
         act_source = ActSource(
             source,
+            reads=reads,
             latent=keys.latent,
             extrinsic=keys.extrinsic,
             intrinsic_estimate=keys.intrinsic_estimate,
@@ -200,14 +220,14 @@ class ROANetworks(nn.Module):
             act_intrinsic=keys.act_intrinsic,
             act_extrinsic=keys.act_extrinsic,
         )
-        scales = self._scales(source) if self.backbone.reads_scale else []
+        scales = self._scales(source)
         actor = make_actor(
             self.backbone,
             self.exploration,
-            *front,
-            act_source,
+            *([*front, act_source] if reads else []),
             *scales,
             observation=keys.observation,
+            history=keys.history,
             act_intrinsic=keys.act_intrinsic,
             act_extrinsic=keys.act_extrinsic,
             act_scales=[key for scale in scales for key in scale.out_keys],
@@ -217,11 +237,12 @@ class ROANetworks(nn.Module):
 
     def _scales(self, source: ActSourceName) -> list[ActScale]:
         keys = self.keys
-        pairs = [
-            (keys.intrinsic_scale, keys.act_intrinsic, keys.act_intrinsic_scale),
-            (keys.extrinsic_scale, keys.act_extrinsic, keys.act_extrinsic_scale),
-        ]
+        rows = {
+            "latent": (keys.intrinsic_scale, keys.act_intrinsic, keys.act_intrinsic_scale),
+            "extrinsic": (keys.extrinsic_scale, keys.act_extrinsic, keys.act_extrinsic_scale),
+        }
         return [
             ActScale(source, scale=scale, chosen=chosen, student=keys.student, act_scale=act_scale)
-            for scale, chosen, act_scale in pairs
+            for name, (scale, chosen, act_scale) in rows.items()
+            if f"{name}_scale" in self.backbone.reads
         ]

@@ -8,6 +8,7 @@ from tensordict import NestedKey
 from torchrl.data import Composite, TensorSpec
 
 from torchrl_atr._checks import check_keys, check_kind, check_whole
+from torchrl_atr._errors import InputError
 from torchrl_atr._registry import nearest
 from torchrl_atr.modules.estimators import EstimatorSpec, Role
 from torchrl_atr.modules.keys import NetworkKeys
@@ -87,6 +88,7 @@ def estimator_specs(
     keys: NetworkKeys | None = None,
     estimator_inputs: Sequence[NestedKey] = (),
     shared: bool = False,
+    actor_reads: Sequence[str] = ("latent", "extrinsic"),
 ) -> dict[Role, EstimatorSpec]:
     """Return what each estimator is told, by its role, from an env's specs.
 
@@ -96,9 +98,11 @@ def estimator_specs(
         keys (NetworkKeys, optional): names of the entries, if the env has its own.
         estimator_inputs (sequence of NestedKey): further inputs of the one of the extrinsic state. Defaults to none.
         shared (bool): whether one estimator has both roles. Defaults to False.
+        actor_reads (sequence of str): what there are estimators of: ``latent``, ``extrinsic``. Defaults to both.
 
     Raises:
         KeyError: if the spec lacks an entry.
+        InputError: if further inputs, or both roles, are asked of an estimator that the actor does not read.
 
     Example:
         >>> from torchrl.data import Composite, Unbounded
@@ -115,12 +119,21 @@ def estimator_specs(
     (extrinsic,) = entry_shape(observation_spec, keys.extrinsic, 1)
     inputs = dict(zip(estimator_inputs, input_sizes(observation_spec, "estimator_inputs", estimator_inputs)))
     sizes, window = {"intrinsic": latent_features, "extrinsic": extrinsic}, (length, features)
+    lacking = {"latent", "extrinsic"}.difference(actor_reads)
+    for asked, what in ((inputs and lacking & {"extrinsic"}, "estimator_inputs"), (shared and lacking, "shared=True")):
+        if asked:
+            raise InputError(
+                f"{what}: actor_reads={list(actor_reads)} lacks {' and '.join(sorted(asked))}, so there is no "
+                "estimator of it; leave it out, or add it there"
+            )
     if shared:
         return {"both": EstimatorSpec("both", window, sizes, inputs, keys)}
-    return {
-        "intrinsic": EstimatorSpec("intrinsic", window, {"intrinsic": latent_features}, {}, keys),
-        "extrinsic": EstimatorSpec("extrinsic", window, {"extrinsic": extrinsic}, inputs, keys),
-    }
+    specs: dict[Role, EstimatorSpec] = {}
+    if "latent" not in lacking:
+        specs["intrinsic"] = EstimatorSpec("intrinsic", window, {"intrinsic": latent_features}, {}, keys)
+    if "extrinsic" not in lacking:
+        specs["extrinsic"] = EstimatorSpec("extrinsic", window, {"extrinsic": extrinsic}, inputs, keys)
+    return specs
 
 
 def check_widths(**cells: Sequence[int]) -> None:

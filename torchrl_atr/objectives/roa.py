@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, cast
 
 import torch
 from tensordict import NestedKey, TensorDict, TensorDictBase, unravel_key
 from tensordict.nn import ProbabilisticTensorDictSequential, TensorDictModule, TensorDictParams, dispatch
 from torch import Tensor, nn
-from torchrl.objectives import ClipPPOLoss
 
 from torchrl_atr._torchrl_private import ExtensibleClipPPOLoss
+from torchrl_atr.objectives.keys import ROAKeys
 from torchrl_atr.objectives.regression import check_scale, regression
 
 ADAPTATION_NETWORKS = ("encoder_network", "intrinsic_estimator_network", "extrinsic_estimator_network")
+Terms = dict[str, Tensor]
 _RENAME = "Give it that out_key, or rename it: loss.set_keys(latent=..., latent_estimate=..., extrinsic_estimate=...)."
 
 
@@ -49,12 +49,16 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
     The encoder network must share its parameters with the encoder inside the actor: PPO and ``loss_roa``
     then add up in it, and no parameter is listed twice. Every network runs once in a call: all terms read its pass.
 
+    An actor that reads no latent has neither encoder nor intrinsic estimator, one that reads no extrinsic state no
+    extrinsic estimator: these networks are None, and there are no terms and no diagnostics of them.
+
     Args:
         actor_network (ProbabilisticTensorDictSequential): the actor that is trained; it may contain the encoder.
         critic_network (TensorDictModule): the critic.
-        encoder_network (TensorDictModule): writes the latent z, (*B, L).
-        intrinsic_estimator_network (TensorDictModule): writes zhat, (*B, L).
-        extrinsic_estimator_network (TensorDictModule): writes xhat, (*B, E), in its target's units; may be the same.
+        encoder_network (TensorDictModule, optional): writes the latent z, (*B, L).
+        intrinsic_estimator_network (TensorDictModule, optional): writes zhat, (*B, L).
+        extrinsic_estimator_network (TensorDictModule, optional): writes xhat, (*B, E), in its target's units; may be
+            the same.
 
     Keyword Args:
         roa_coeff (float): the paper's lambda. Defaults to 0.2.
@@ -68,7 +72,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         **ppo_kwargs: passed to :class:`~torchrl.objectives.ClipPPOLoss`.
 
     Raises:
-        ValueError: if a coefficient is negative or a scale is not positive.
+        ValueError: for a negative coefficient, a scale that is not positive, an encoder without intrinsic estimator.
         KeyError: if a network does not write the key that the loss reads (rename with ``set_keys``).
 
     The coefficients can be scheduled by assignment: ``loss.roa_coeff = 0.1``.
@@ -93,30 +97,9 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         ['loss_extrinsic', 'loss_intrinsic']
     """
 
-    @dataclass
-    class _AcceptedKeys(ClipPPOLoss._AcceptedKeys):
-        """Keys of ClipPPOLoss and those of the regression terms; all can be changed with ``set_keys``.
-
-        Attributes:
-            latent (NestedKey): what the encoder writes.
-            latent_estimate (NestedKey): what the intrinsic estimator writes, and where a recorded zhat is
-                read.
-            extrinsic (NestedKey): the true extrinsic state in the data.
-            extrinsic_estimate (NestedKey): what the extrinsic estimator writes.
-            latent_estimate_scale, extrinsic_estimate_scale (NestedKey): standard deviations that estimators may write.
-            previous_mean (NestedKey): the mean action of the step before, (*B, A).
-        """
-
-        latent: NestedKey = ("latent", "intrinsic")
-        latent_estimate: NestedKey = ("estimate", "intrinsic")
-        extrinsic: NestedKey = ("privileged", "extrinsic")
-        extrinsic_estimate: NestedKey = ("estimate", "extrinsic")
-        latent_estimate_scale: NestedKey = ("estimate", "intrinsic_scale")
-        extrinsic_estimate_scale: NestedKey = ("estimate", "extrinsic_scale")
-        previous_mean: NestedKey = "previous_mean"
-
-    default_keys = _AcceptedKeys
-    tensor_keys: _AcceptedKeys  # type: ignore[assignment]
+    _AcceptedKeys = ROAKeys
+    default_keys = ROAKeys
+    tensor_keys: ROAKeys  # type: ignore[assignment]
     _schedulable_buffers = frozenset({"roa_coeff", "intrinsic_coeff", "extrinsic_coeff", "smoothness_coeff"})
 
     encoder_network: TensorDictModule
@@ -140,9 +123,9 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         self,
         actor_network: ProbabilisticTensorDictSequential,
         critic_network: TensorDictModule,
-        encoder_network: TensorDictModule,
-        intrinsic_estimator_network: TensorDictModule,
-        extrinsic_estimator_network: TensorDictModule,
+        encoder_network: TensorDictModule | None = None,
+        intrinsic_estimator_network: TensorDictModule | None = None,
+        extrinsic_estimator_network: TensorDictModule | None = None,
         *,
         roa_coeff: float = 0.2,
         intrinsic_coeff: float = 1.0,
@@ -152,11 +135,16 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         **ppo_kwargs: Any,
     ) -> None:
         super().__init__(actor_network, critic_network, **ppo_kwargs)
-        networks = [encoder_network, intrinsic_estimator_network, extrinsic_estimator_network]
-        shared = extrinsic_estimator_network is intrinsic_estimator_network  # its parameters are listed once
-        for name, network in zip(ADAPTATION_NETWORKS, networks[: 2 if shared else 3]):
+        given = encoder_network, intrinsic_estimator_network, extrinsic_estimator_network
+        if (given[0] is None) != (given[1] is None):
+            raise ValueError("encoder_network and intrinsic_estimator_network belong together: give both, or neither.")
+        networks = {name: network for name, network in zip(ADAPTATION_NETWORKS, given) if network is not None}
+        if given[1] is given[2]:  # its parameters are listed once
+            networks.pop(ADAPTATION_NETWORKS[2], None)
+        for name, network in networks.items():
             self._add_network(name, network)
-        self._estimators = ADAPTATION_NETWORKS[1 : 2 if shared else 3]
+        self._estimators = tuple(name for name in ADAPTATION_NETWORKS[1:] if name in networks)
+        self._reads_latent, self._reads_extrinsic = given[1] is not None, given[2] is not None
         device = next(self.parameters()).device
         values = roa_coeff, intrinsic_coeff, extrinsic_coeff, smoothness_coeff
         for name, value in zip(("roa_coeff", "intrinsic_coeff", "extrinsic_coeff", "smoothness_coeff"), values):
@@ -175,7 +163,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
 
     def further_in_keys(self) -> list[NestedKey]:
         """Return the inputs of the adaptation networks, and their targets."""
-        keys = [*self._adaptation_inputs(), self.tensor_keys.extrinsic]
+        keys = self._adaptation_inputs() + [self.tensor_keys.extrinsic] * getattr(self, "_reads_extrinsic", False)
         return keys + [self.tensor_keys.previous_mean] * getattr(self, "_smooth", False)
 
     def _adaptation_inputs(self) -> list[NestedKey]:
@@ -185,23 +173,27 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         return [key for network in networks for key in [*network.in_keys, *getattr(network, "loss_in_keys", ())]]
 
     def further_out_keys(self) -> list[NestedKey]:
-        """Return the three regression terms, the two diagnostics, and ``loss_smoothness`` where it counts."""
-        ours = ["loss_intrinsic", "loss_roa", "loss_extrinsic", "latent_error", "extrinsic_error"]
+        """Return the regression terms and their diagnostics, and ``loss_smoothness`` where it counts."""
+        ours = ["loss_intrinsic", "loss_roa", "latent_error"] * self._reads_latent
+        ours += ["loss_extrinsic", "extrinsic_error"] * self._reads_extrinsic
         return [*ours, *["loss_smoothness"] * self._smooth]
 
     @property
     def policy_in_keys(self) -> list[NestedKey]:
         """Entries that :meth:`policy_loss` reads if advantages and zhat are recorded; masks and value are optional."""
         keys = self.tensor_keys
-        networks = (self.actor_network, self.critic_network, self.encoder_network)
+        encoder = [self.encoder_network] if self._reads_latent else []
+        networks = [self.actor_network, self.critic_network, *encoder]
         recorded = [keys.action, keys.sample_log_prob, keys.advantage, keys.value_target, keys.value]
-        recorded += [keys.latent_estimate, *self._mask_keys] + [keys.previous_mean] * self._smooth
+        recorded += [keys.latent_estimate] * self._reads_latent + [*self._mask_keys]
+        recorded += [keys.previous_mean] * self._smooth
         return [*(key for network in networks for key in network.in_keys), *recorded]
 
     @property
     def adaptation_in_keys(self) -> list[NestedKey]:
         """Entries that :meth:`adaptation_loss` reads; masks are optional."""
-        return [*self._adaptation_inputs(), self.tensor_keys.extrinsic, *self._mask_keys]
+        targets = [self.tensor_keys.extrinsic] * self._reads_extrinsic
+        return [*self._adaptation_inputs(), *targets, *self._mask_keys]
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -223,7 +215,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         """
         acted = self._act(tensordict)
         estimate = tensordict.get(self.tensor_keys.latent_estimate, None)
-        if estimate is None:
+        if estimate is None and self._reads_latent:
             with torch.no_grad():
                 estimate = self._latent_estimate(tensordict)
         out = super().forward(acted)
@@ -234,12 +226,14 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
     def adaptation_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return ``loss_intrinsic``, ``loss_extrinsic``, estimators' own losses and diagnostics: what trains them."""
         with torch.no_grad():
-            latent = self._latent(tensordict)
+            latent = self._latent(tensordict) if self._reads_latent else None
         return TensorDict(self._adaptation_terms(tensordict, latent)[0])
 
-    def _latent_of(self, acted: TensorDictBase) -> Tensor:
-        """Return the latent that the actor has computed, or compute it if the actor does not."""
+    def _latent_of(self, acted: TensorDictBase) -> Tensor | None:
+        """Return the latent that the actor has computed, or compute it if the actor does not; None without one."""
         key = self.tensor_keys.latent
+        if not self._reads_latent:
+            return None
         return acted.get(key) if unravel_key(key) in self.actor_network.out_keys else self._latent(acted)
 
     def _smoothness_terms(self, acted: TensorDictBase) -> dict[str, Tensor]:
@@ -254,40 +248,44 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         change = (self._distribution(acted).mean - previous).square().sum(-1)
         return {"loss_smoothness": self._reduced(self.smoothness_coeff * change, acted)}
 
-    def _roa_terms(self, tensordict: TensorDictBase, latent: Tensor, estimate: Tensor) -> dict[str, Tensor]:
+    def _roa_terms(self, tensordict: TensorDictBase, latent: Tensor | None, estimate: Tensor | None) -> Terms:
+        if latent is None or estimate is None:
+            return {}
         distance = (estimate.detach() - latent).square().sum(-1)
         return {"loss_roa": self._reduced(self.roa_coeff * distance, tensordict)}
 
-    def _adaptation_terms(self, tensordict: TensorDictBase, latent: Tensor) -> tuple[dict[str, Tensor], Tensor]:
+    def _adaptation_terms(self, tensordict: TensorDictBase, latent: Tensor | None) -> tuple[Terms, Tensor | None]:
         """Return the terms of the estimators, and zhat."""
         keys = self.tensor_keys
         target = tensordict.get(keys.extrinsic, None)
-        if target is None:
+        if self._reads_extrinsic and target is None:
             raise KeyError(
                 f"No extrinsic target {keys.extrinsic!r} in the data; "
                 "name the entry that holds it with loss.set_keys(extrinsic=...)."
             )
-        written, terms = self._estimate(tensordict)
+        written, own = self._estimate(tensordict)
         zhat, z_scale = (written.get(key, None) for key in (keys.latent_estimate, keys.latent_estimate_scale))
         xhat, x_scale = (written.get(key, None) for key in (keys.extrinsic_estimate, keys.extrinsic_estimate_scale))
-        intrinsic, z_error, z_calibration = regression(zhat, latent.detach(), None, z_scale)
-        extrinsic, x_error, x_calibration = regression(xhat, target, self.extrinsic_scale, x_scale)
-        calibrations = {"latent_calibration": z_calibration, "extrinsic_calibration": x_calibration}
-        out = {
-            "loss_intrinsic": self._reduced(self.intrinsic_coeff * intrinsic, tensordict),
-            "loss_extrinsic": self._reduced(self.extrinsic_coeff * extrinsic, tensordict),
-            **{name: self._reduced(value, tensordict) for name, value in terms.items()},
-            "latent_error": z_error.square().sum(-1).mean().sqrt(),
-            "extrinsic_error": x_error.square().mean().sqrt(),
-        }
-        return out | {name: value for name, value in calibrations.items() if value is not None}, zhat
+        terms: Terms = {}
+        reports: dict[str, Tensor | None] = {}
+        if latent is not None:
+            loss, error, reports["latent_calibration"] = regression(zhat, latent.detach(), None, z_scale)
+            terms["loss_intrinsic"] = self._reduced(self.intrinsic_coeff * loss, tensordict)
+            reports["latent_error"] = error.square().sum(-1).mean().sqrt()
+        if self._reads_extrinsic:
+            loss, error, reports["extrinsic_calibration"] = regression(xhat, target, self.extrinsic_scale, x_scale)
+            terms["loss_extrinsic"] = self._reduced(self.extrinsic_coeff * loss, tensordict)
+            reports["extrinsic_error"] = error.square().mean().sqrt()
+        terms |= {name: self._reduced(value, tensordict) for name, value in own.items()}
+        return terms | {name: value for name, value in reports.items() if value is not None}, zhat
 
     def _estimate(self, tensordict: TensorDictBase) -> tuple[TensorDictBase, dict[str, Tensor]]:
         """Run the estimators, each once; return what they write, and their own losses by name, (*B,) each."""
-        wanted = [[self.tensor_keys.latent_estimate], [self.tensor_keys.extrinsic_estimate]]
-        shared, written, terms = len(self._estimators) == 1, tensordict.empty(), {}
-        for name, keys in zip(self._estimators, [wanted[0] + wanted[1]] if shared else wanted):
-            ran, own = self._run_all(name, tensordict, keys, _RENAME)
+        keys, written, terms = self.tensor_keys, tensordict.empty(), {}
+        wanted = dict(zip(ADAPTATION_NETWORKS[1:], (keys.latent_estimate, keys.extrinsic_estimate)))
+        shared = self._reads_latent and self._reads_extrinsic and len(self._estimators) == 1
+        for name in self._estimators:
+            ran, own = self._run_all(name, tensordict, list(wanted.values()) if shared else [wanted[name]], _RENAME)
             written.update(ran)
             role = "estimator" if shared else name.split("_")[0]
             terms.update({f"loss_{role}_{loss}": value for loss, value in own.items()})

@@ -34,7 +34,7 @@ from torchrl_atr.modules import (
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.modules.sizes import estimator_specs
-from torchrl_atr.objectives import ROAClipPPOLoss
+from torchrl_atr.objectives import DistillationLoss, ROAClipPPOLoss
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.env_access import attribute
 from torchrl_atr.training.settings import ExplorationConfig
@@ -131,13 +131,14 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
     spec = env.observation_spec
     products, errors = _command_inputs(config, env)
     exploration, output_map = _exploration(config.exploration, env.action_spec.shape[-1])
-    return make_networks(
+    networks = make_networks(
         spec,
         env.action_spec,
         estimator=config.estimator.name,
         estimator_kwargs=config.estimator.arguments,
         estimator_inputs=_estimator_inputs(config, spec),
         shared_estimator=config.estimator.shared,
+        actor_reads=config.roa.actor_reads,
         actor_reads_scale=config.estimator.actor_reads_scale,
         input_products=products,
         input_errors=errors,
@@ -153,6 +154,9 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
         else [],
         reflections=env.base_env.reflections if config.ppo.symmetric else None,
     )
+    untrained = config.estimator.epochs == 0 and config.roa.act_source == "privileged"
+    networks.is_teacher = untrained and bool(networks.estimator_modules)
+    return networks
 
 
 def _command_inputs(config: TrainConfig, env: TransformedEnv) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
@@ -203,6 +207,7 @@ def check_run_estimator(config: TrainConfig, env: TransformedEnv) -> None:
         config.roa.latent_features,
         estimator_inputs=_estimator_inputs(config, spec),
         shared=config.estimator.shared,
+        actor_reads=config.roa.actor_reads,
     )
     check_registered(config.estimator.name, specs.values(), **config.estimator.arguments)
 
@@ -223,14 +228,15 @@ def _input(config: TrainConfig, setting: str, key: NestedKey, spec: Composite) -
 
 
 def make_run_loss(
-    config: TrainConfig, networks: ROANetworks, loss_class: type[ROAClipPPOLoss] = ROAClipPPOLoss, **more: Any
+    config: TrainConfig, networks: ROANetworks, loss_class: type[ROAClipPPOLoss] | None = None, **more: Any
 ) -> ROAClipPPOLoss:
     """Return the loss that a configuration describes.
 
     Args:
         config: of a run.
         networks: that it trains.
-        loss_class: a subclass of :class:`~torchrl_atr.objectives.ROAClipPPOLoss` to make instead.
+        loss_class: a subclass of :class:`~torchrl_atr.objectives.ROAClipPPOLoss` to make instead of it, or of
+            :class:`~torchrl_atr.objectives.DistillationLoss` for imitation.
         **more: further arguments of it.
 
     Example:
@@ -251,7 +257,8 @@ def make_run_loss(
         "normalize_advantage": False,
         "functional": False,
     }
-    return loss_class(
+    made = loss_class or (DistillationLoss if config.roa.policy_update == "imitation" else ROAClipPPOLoss)
+    return made(
         networks.training_actor(config.roa.act_source),
         networks.critic_module,
         networks.encoder_module,

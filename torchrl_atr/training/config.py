@@ -200,6 +200,14 @@ _ORDER = (
 """Settings that may not exceed others, by how much they must be below them, and why."""
 
 
+_READ = {
+    "ppo.tracking_errors": ("extrinsic",),
+    "estimator.dead_reckoning": ("extrinsic",),
+    "estimator.shared": ("latent", "extrinsic"),
+}
+"""Settings that need estimates, and which of the actor's inputs these are."""
+
+
 def _problems(config: TrainConfig) -> Iterator[str]:
     """Yield a message for each conflict between settings, with the remedy."""
     values, compute = config.to_dict(), config.compute
@@ -214,6 +222,13 @@ def _problems(config: TrainConfig) -> Iterator[str]:
             yield f"{path}=() must be widths of 1 or more, such as 256,128,64"
         if config.ppo.symmetric and any(width % 2 for width in (cells if isinstance(cells, list) else [cells])):
             yield f"{path}={cells} must be even, half for each side; or ppo.symmetric=false"
+    reads = config.roa.actor_reads
+    for path, needed in _READ.items():
+        if operator.attrgetter(path)(config) and (missing := [name for name in needed if name not in reads]):
+            yield (
+                f"{path}=true needs an estimate that the actor does not read: roa.actor_reads="
+                f"{','.join(reads) or 'none'} lacks {' and '.join(missing)}; add it there, or set {path}=false"
+            )
     if len(config.env.overspeed_margin) not in (0, 2):
         yield f"env.overspeed_margin={config.env.overspeed_margin}: give two numbers, m/s and rad/s, or none"
     if compute.collector != "direct" and config.env.num_envs % compute.workers:

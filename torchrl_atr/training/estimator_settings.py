@@ -26,8 +26,8 @@ class EstimatorConfig(Settings):
     """Let the actor also read the standard deviations of the estimates; the estimator must give them, as gaussian."""
     learning_rate: float = setting(1e-3, within=(_TINY, 1))
     """Learning rate of both, fixed."""
-    epochs: int = setting(1, within=(1, 1000))
-    """Passes over a batch."""
+    epochs: int = setting(1, within=(0, 1000))
+    """Passes over a batch; with 0, estimators stay as they are."""
     dead_reckoning: bool = setting(True, off=False, addition="dead-reckoned velocity")
     """Let the extrinsic estimator also read the integral of the measured acceleration. 0.2 s of history sees speed only
     through the resistance: 0.06 m/s² for each m/s."""

@@ -20,11 +20,14 @@ from torchrl_atr._compilation import CudaGraph, compile_methods
 from torchrl_atr.modules import ROANetworks
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
+from torchrl_atr.objectives.schedules import kl_divergence
 from torchrl_atr.training.assembly import make_run_loss
 from torchrl_atr.training.callbacks import Callbacks, Phase
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.guard import StepGuard
-from torchrl_atr.training.restoring import check_moments, deployed_weights
+from torchrl_atr.training.optimizers import load_optimizers, make_optimizers, parameter_groups, take_moments
+from torchrl_atr.training.recording import Teacher, record_output
+from torchrl_atr.training.restoring import deployed_weights
 from torchrl_atr.training.reward_schedule import RewardSchedule, factors_at, with_factors
 
 EMA_WARMUP = 9
@@ -36,6 +39,9 @@ class Learner:
 
     The policy (actor, encoder), the critic and the estimators have an optimiser each: only the policy's learning rate
     follows the KL divergence, and no gradient norm clips another's.
+
+    What trains the policy is ``config.roa.policy_update``: PPO; imitation of the policy that the networks are now; or
+    nothing, and then its normalisers stay as they are, too.
 
     Args:
         networks: from :func:`torchrl_atr.modules.make_networks`; trained in place.
@@ -58,8 +64,10 @@ class Learner:
         self._averaged.eval()  # it is never trained
         self.loss: Any = make_run_loss(config, networks) if loss is None else loss
         self._has_own_loss = loss is not None
+        self._update = config.roa.policy_update
+        self.teacher = Teacher(networks) if self._update == "imitation" else None
         estimators = networks.intrinsic_estimator_module, networks.extrinsic_estimator_module
-        self._recurrent = any(map(state_keys, estimators))  # then trained on sequences
+        self._recurrent = any(state_keys(each) for each in estimators if each is not None)  # trained on sequences
         self.reward_schedule, self.callbacks = dict(reward_schedule or {}), callbacks or Callbacks()
         critic = networks.critic_module
         self.advantage = GAE(
@@ -73,18 +81,8 @@ class Learner:
         if config.compiles_networks:
             compile_methods(self.loss, "policy_loss", *["adaptation_loss"] * (not self._recurrent))
             compile_methods(critic, "forward")
-        policy = (networks.encoder, networks.backbone, networks.exploration)
-        self._groups: dict[str, list[nn.Parameter]] = {
-            "policy": [parameter for network in policy for parameter in network.parameters()],
-            "critic": list(networks.critic.parameters()),
-            "estimators": list(networks.estimator_parameters()),
-        }
-        ppo, estimator = config.ppo, config.estimator
-        rates = {"policy": ppo.learning_rate, "critic": ppo.critic_learning_rate, "estimators": estimator.learning_rate}
-        self.optimizers = {
-            name: torch.optim.Adam(group, lr=rates[name], fused=True, capturable=config.captures_graphs)
-            for name, group in self._groups.items()
-        }
+        self._groups, ppo = parameter_groups(networks), config.ppo
+        self.optimizers = make_optimizers(self._groups, config)
         self.schedule = DeviceKLAdaptiveLR(self.optimizers["policy"], ppo.target_kl, max_lr=ppo.max_learning_rate)
         self._first, self._too_far = torch.zeros(2, dtype=torch.bool, device=config.compute.device)
         self._steps = self._make_steps()
@@ -143,30 +141,37 @@ class Learner:
             device = self.config.compute.device  # to a GPU from pinned memory, without waiting
             batch = batch.copy().to(device, non_blocking_pin=device != "cpu")
             batch = with_factors(batch, self._reward_factors)
-            batch = self.advantage(batch)
+            batch = self.advantage(batch) if self._update == "ppo" else batch
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
             action_rate = (batch["loc"] - batch["previous_mean"]).square().mean().sqrt()
         flat = batch.reshape(-1)
-        if self.config.roa.act_source == "privileged" and not self._recurrent:  # else the rollout recorded them
-            self._record_latent_estimates(flat)
+        self._record(flat)
         shuffled = self._shuffled(flat)
         self._first.fill_(True)
         self._too_far.fill_(False)
-        policy = self._learn_policy(shuffled)
-        adaptation = self._learn_estimators(self._shuffled(batch) if self._recurrent else shuffled)
-        self.networks.update_normalizers(flat)
+        steps: dict[str, TensorDictBase] = {}
+        if self._update != "none":
+            steps["policy"] = self._learn_policy(shuffled)
+        if self.config.estimator.epochs and "estimators" in self._groups:
+            steps["estimators"] = self._learn_estimators(self._shuffled(batch) if self._recurrent else shuffled)
+        if self._update != "none":
+            self.networks.update_normalizers(flat)
         self._averaged.update_parameters(self.networks)
-        metrics = {**self._means("policy", policy), **self._means("estimators", adaptation)}
+        metrics = {key: value for phase, taken in steps.items() for key, value in self._means(phase, taken).items()}
         metrics |= {"learning_rate": self.schedule.get_last_lr()[0], "action_rate_rms": float(action_rate)}
         return {**metrics, "skipped_steps": float(self.guard.skipped)}
 
-    def _record_latent_estimates(self, flat: TensorDictBase) -> None:
-        """Record ẑ once an iteration, without gradient: the target of the encoder (Eq. 15's second term)."""
-        module = self.networks.intrinsic_estimator_module
-        key = module.out_keys[0]
-        with torch.no_grad():
-            parts = [module(part.select(*module.in_keys))[key] for part in flat.split(self.minibatch_size)]
-        flat.set(key, torch.cat(parts))
+    def _record(self, flat: TensorDictBase) -> None:
+        """Record what the policy's loss reads once an iteration, without gradient.
+
+        That is the teacher's actions, or ẑ, the target of the encoder (Eq. 15's second term), unless the rollout did.
+        """
+        if self.teacher is not None:
+            self.teacher.label(flat, self.minibatch_size)
+        module: Any = self.networks.intrinsic_estimator_module
+        recorded = self.config.roa.act_source != "privileged" or self._recurrent
+        if self._update == "ppo" and module is not None and not recorded:
+            record_output(module, flat, self.minibatch_size, module.out_keys[0])
 
     def _shuffled(self, flat: TensorDictBase) -> TensorDictBase:
         """Return the entries that the losses read, shuffled; whole rows (steps or sequences), as indexing is slower."""
@@ -204,10 +209,13 @@ class Learner:
         """Adapt the rate to the divergence from the policy that collected the batch; step unless it is too large.
 
         Before the first step the divergence is zero, which says nothing about the rate. Once it is too large, the
-        remaining policy steps of the iteration are skipped.
+        remaining policy steps of the iteration are skipped. Imitation is regression, at a fixed rate.
         """
         terms = self.loss.policy_loss(minibatch)
-        divergence = _kl_divergence(terms)
+        if self._update == "imitation":
+            terms = self.callbacks.through("on_loss", terms, minibatch, "policy")
+            return self._step(terms, ("policy",))
+        divergence = kl_divergence(terms)
         self.schedule.step(divergence, hold=self._first | self._too_far)
         self._first.fill_(False)
         if self.config.ppo.kl_stop > 0:
@@ -252,6 +260,7 @@ class Learner:
             "roa_coeff": float(getattr(self.loss, "roa_coeff", 0.0)),
             "loss": dict(self._loss_buffers()),
             "skipped_steps": self.guard.skipped,
+            **({} if self.teacher is None else {"teacher": self.teacher.networks.state_dict()}),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -259,11 +268,9 @@ class Learner:
         self.networks.load_state_dict(state["networks"])
         self.deployed.load_state_dict(deployed_weights(state))
         self._averaged.n_averaged.fill_(state.get("averaged", 0))
-        for name, optimizer in self.optimizers.items():
-            check_moments(optimizer, state["optimizers"][name], name)
-            optimizer.load_state_dict(state["optimizers"][name])
-            for group in optimizer.param_groups:
-                group["capturable"] = self.config.captures_graphs  # as this run needs it, not the saved one
+        load_optimizers(self.optimizers, state["optimizers"], self.config)
+        if self.teacher is not None:
+            self.teacher.networks.load_state_dict(state["teacher"])
         self._steps = self._make_steps()  # graphs that were captured change tensors that are no longer read
         self.schedule.load_state_dict(state["schedule"])
         if hasattr(self.loss, "roa_coeff"):
@@ -286,14 +293,7 @@ class Learner:
         Args:
             state: a :meth:`state_dict` whose networks have been loaded.
         """
-        theirs = state["optimizers"]
-        for name, optimizer in self.optimizers.items():
-            check_moments(optimizer, theirs[name], name)
-            optimizer.load_state_dict({**optimizer.state_dict(), "state": theirs[name]["state"]})
-        rate = float(theirs["policy"]["param_groups"][0]["lr"])
-        self.schedule.set_rate(min(rate, self.config.ppo.learning_rate))
-
-
-def _kl_divergence(terms: TensorDictBase) -> Tensor:
-    """Return E[r - 1 - log r] for the importance ratio r: never negative, and far less noisy than E[-log r]."""
-    return (terms["mean_ratio"] - 1 + terms["kl_approx"]).detach()
+        take_moments(self.optimizers, state["optimizers"])
+        if self._update == "ppo":
+            rate = float(state["optimizers"]["policy"]["param_groups"][0]["lr"])
+            self.schedule.set_rate(min(rate, self.config.ppo.learning_rate))

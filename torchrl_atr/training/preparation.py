@@ -23,7 +23,7 @@ def check_given(
 
     Raises:
         CheckpointError: if a checkpoint lacks something, or parts that were its run's own are not given.
-        ConfigError: if a part or the logger cannot be used, or both runs are one.
+        ConfigError: if a part or the logger cannot be used, both runs are one, or a student has no teacher.
     """
     if not isinstance(config, TrainConfig):
         raise ConfigError(f"config={config!r}; give a TrainConfig, such as make_config({{'num_envs': 512}})")
@@ -35,6 +35,11 @@ def check_given(
         parts.check_complete(state, run, FACTORIES)
         if state.get("members"):
             raise ConfigError(f"{run} was trained by several learners, which are gone; begin a new run with --from")
+    if start is None and state is None and config.roa.policy_update != "ppo":
+        raise ConfigError(
+            f"roa.policy_update={config.roa.policy_update!r} needs a trained policy: train one with --preset teacher, "
+            "and begin from it with --from RUN (begin_from=)"
+        )
     if start is None:
         return None
     other = read_other(start, run)

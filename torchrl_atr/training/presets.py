@@ -14,13 +14,27 @@ PRESETS: Registry[Mapping[str, Any]] = Registry("preset")
 
 ``default`` learns best on a laptop. ``paper`` is the paper's own method: nothing of :func:`additions`, the physics that
 makes its text true, and Extreme Parkour's hyper-parameters where it gives none. ``literal`` takes every formula as
-printed, ``legged_gym`` follows the code that the paper builds on; both without additions.
+printed, ``legged_gym`` follows the code that the paper builds on; both without additions. The others are other ways of
+adaptation, ``default`` in all else: docs/adaptation.md.
 """
+STUDENTS: set[str] = {"rma", "distillation"}
+"""Presets of a second phase: their settings take the place of those of the run that they begin from."""
 for _name in ("default", "paper", "literal", "legged_gym"):
     _values = {path: each.value_in(_name) for path, each in settings(TrainConfig).items()}
     PRESETS.register(
         _name, {path: value for path, value in _values.items() if value != settings(TrainConfig)[path].default}
     )
+
+_LEARNS: dict[str, Any] = {"roa.act_source": "estimated", "estimator.epochs": 1, "exploration.anneal": False}
+_WAYS: dict[str, dict[str, Any]] = {
+    "teacher": {"roa.act_source": "privileged", "roa.coeff": 0.0, "estimator.epochs": 0},
+    "rma": {**_LEARNS, "roa.policy_update": "none"},
+    "distillation": {**_LEARNS, "roa.policy_update": "imitation"},
+    "concurrent": {"roa.actor_reads": ("extrinsic",), "roa.act_source": "estimated"},
+    "asymmetric": {"roa.actor_reads": ("history",), "ppo.tracking_errors": False, "estimator.dead_reckoning": False},
+}
+for _name in _WAYS:
+    PRESETS.register(_name, _WAYS[_name])
 
 TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
     "walking": {

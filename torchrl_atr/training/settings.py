@@ -11,7 +11,7 @@ from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.tasks.events import Pushes
 from torchrl_atr.envs.tasks.overrides import Ranges
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.modules import ActSourceName
+from torchrl_atr.modules import ActorInput, ActSourceName
 
 MAX_SPEED, MAX_YAW_RATE = CommandGrid().bounds
 """Largest command of the paper: m/s and rad/s."""
@@ -235,7 +235,7 @@ class PPOConfig(Settings):
 
 @dataclass(frozen=True)
 class ROAConfig(Settings):
-    """Regularised online adaptation: the encoder, and the inputs of the actor in training."""
+    """Way of adaptation, by default regularised online adaptation: inputs of the actor, encoder, training of both."""
 
     group = "roa"
 
@@ -244,6 +244,12 @@ class ROAConfig(Settings):
     ramp: bool = setting(False, question="A23", legged_gym=True)
     """Grow λ linearly from 0 over the run. Open whether λ = 0.2 is constant or the end of a ramp. Constant; Extreme
     Parkour ramps it up."""
+    actor_reads: tuple[ActorInput, ...] = setting(("latent", "extrinsic"))
+    """What the actor reads beside o_t: history, latent (z), extrinsic (x_ext), or some of these. There is an encoder,
+    and an estimator, of what it reads alone; docs/adaptation.md. As in the paper."""
+    policy_update: Literal["ppo", "imitation", "none"] = setting("ppo")
+    """What trains the policy: ppo; imitation of the actions that the policy of --from takes on privileged information;
+    or nothing: then that policy stays as it is, and estimators learn in it. As in the paper."""
     act_source: ActSourceName = setting(
         "mixed", question="A24", off="privileged", addition="acting on estimates in training"
     )
