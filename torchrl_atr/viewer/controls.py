@@ -40,6 +40,7 @@ class Controls:
         self._gui, self._loop, self._policies = server.gui, loop, policies
         self._made: list[Any] = []
         self._touched = 0.0
+        self._told: tuple[float, float] | None = None
 
     def show(self, session: Session) -> None:
         """Make the inputs that fit a session, in place of those before."""
@@ -60,8 +61,10 @@ class Controls:
 
     def update(self, session: Session) -> None:
         """Show the command in force, which a stick, a key or another browser may have set."""
-        if time.monotonic() - self._touched < _HANDS_OFF:  # a slider that is being dragged must not jump back
+        # a slider that is being dragged, or has been and whose change is under way, must not jump back
+        if session.command == self._told or time.monotonic() - self._touched < _HANDS_OFF:
             return
+        self._told = session.command
         pairs: list[tuple[Any, float]] = list(zip((self._speed, self._yaw_rate), session.command))
         for slider, value in pairs:
             if abs(slider.value - value) > 1e-3:
@@ -69,6 +72,7 @@ class Controls:
 
     def _add_ride(self, session: Session) -> None:
         (speed, yaw_rate), lowest = session.limits, float(session.lowest[0])
+        self._told = None
         self._speed = self._gui.add_slider("Speed, m/s", max(-speed, lowest), speed, 0.01, 0.0)
         self._yaw_rate = self._gui.add_slider("Yaw rate, rad/s", -yaw_rate, yaw_rate, 0.01, 0.0)
 

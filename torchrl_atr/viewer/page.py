@@ -58,13 +58,14 @@ class Page:
         """Show a session after a step or an action."""
         if self._shown != (session.builds, session.views):
             self._rebuild(session)
-        self._scene.update(session, CONTROL_DT)
-        self._joystick.move(session.command)
-        self._controls.update(session)
-        now = time.monotonic()
-        if now - self._drawn >= _PANEL_INTERVAL or self._loop.paused:
-            self._drawn = now
-            self._panels.update(session)
+        with self._server.atomic():  # one message to each browser
+            self._scene.update(session, CONTROL_DT)
+            self._joystick.move(session.command)
+            self._controls.update(session)
+            now = time.monotonic()
+            if now - self._drawn >= _PANEL_INTERVAL or self._loop.paused:
+                self._drawn = now
+                self._panels.update(session)
 
     def _rebuild(self, session: Session) -> None:
         if self._builds != session.builds:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_atr.envs.models.floor import near_origin
-from torchrl_atr.viewer.poses import ChaseFrame, Poses
+from torchrl_atr.viewer.poses import ChaseFrame
 from torchrl_atr.viewer.session import Session
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ CAMERA = (-2.5, 0.9, 1.7)
 LOOK_AT = (0.2, 0.35, 0.1)
 _CELL, _SECTION = 0.5, 2.0
 _COMMANDED, _ACTUAL = (40, 110, 220), (235, 120, 30)
+_HEIGHTS = {"commanded": 0.75, "actual": 0.82}  # m: over the robot, where boards and legs do not hide them
 _HORIZON = 0.8  # s of motion that an arrow shows
 _POINTS = 9
 
@@ -39,7 +40,6 @@ class SceneDisplay:
     def __init__(self, server: ViserServer, session: Session) -> None:
         from mjviser import ViserMujocoScene
 
-        self._server = server
         self._frame = ChaseFrame()
         self.turning = True
         server.scene.configure_default_lights()
@@ -70,24 +70,17 @@ class SceneDisplay:
         """
         poses, row = session.poses.read(), session.followed
         self._frame.follow(poses.places[row], float(poses.headings[row]), dt, self.turning)
-        with self._server.atomic():
-            self._move(poses)
-            place = near_origin(self._frame.place, _SECTION)
-            self._floor.position = tuple(self._frame.rotation @ [-place[0], -place[1], 0.0])
-            yaw = self._frame.yaw or 0.0
-            self._floor.wxyz = (math.cos(yaw / 2), 0.0, 0.0, -math.sin(yaw / 2))
-            heading = float(poses.headings[row]) - yaw
-            actual = session.command if session.reading is None else session.reading.actual
-            for arrow, velocity in zip(self._arrows, (session.command, actual)):
-                arrow.point(np.asarray(velocity, dtype=float), heading)
-
-    def _move(self, poses: Poses) -> None:
-        positions = self._frame.to_frame(poses.positions)
-        self._robots.update_from_arrays(positions, self._frame.rotation @ poses.rotations)
+        rotation, yaw = self._frame.rotation, self._frame.yaw or 0.0
+        self._robots.update_from_arrays(self._frame.to_frame(poses.positions), rotation @ poses.rotations)
+        self._floor.position = rotation @ [*-near_origin(self._frame.place, _SECTION), 0.0]
+        self._floor.wxyz = (math.cos(yaw / 2), 0.0, 0.0, -math.sin(yaw / 2))
+        actual = session.command if session.reading is None else session.reading.actual
+        for arrow, velocity in zip(self._arrows, (session.command, actual)):
+            arrow.point(np.asarray(velocity, dtype=float), float(poses.headings[row]) - yaw)
 
 
 class VelocityArrow:
-    """Arrow on the floor along the path that a speed and a yaw rate make in the next moments.
+    """Arrow over the robot along the path that a speed and a yaw rate make in the next moments.
 
     Args:
         server: of the page.
@@ -96,7 +89,7 @@ class VelocityArrow:
     """
 
     def __init__(self, server: ViserServer, name: str, color: tuple[int, int, int]) -> None:
-        self._height = 0.04 if name == "commanded" else 0.05
+        self._height = _HEIGHTS[name]
         points = self._points(np.zeros(2), 0.0)
         path = np.stack([points[:-1], points[1:]], 1)
         self._path = server.scene.add_line_segments(f"/velocity/{name}/path", path, color, thickness=0.03)

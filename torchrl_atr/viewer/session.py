@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +14,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics import CONTROL_DT
@@ -20,7 +23,6 @@ from torchrl_atr.evaluation.access import (
     base_env,
     command_limits,
     command_owner,
-    deterministic,
     extrinsic_components,
 )
 from torchrl_atr.modules import NetworkKeys
@@ -38,6 +40,13 @@ RECORD_SECONDS = 10.0
 _KEYS = NetworkKeys()
 _FEW = 4
 """Robots up to which one physics thread is faster than several."""
+
+
+@contextmanager
+def _acting() -> Iterator[None]:
+    """Run a block without gradients and exploration; loaded networks are in eval mode."""
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        yield
 
 
 @dataclass(frozen=True)
@@ -220,7 +229,7 @@ class Session:
 
     def _begin(self) -> TensorDictBase:
         self.steer(*self.command)
-        with deterministic(self._policy):
+        with _acting():
             td = self.env.reset()
         for row in self._parameters:
             self._apply(row, td)
@@ -234,7 +243,7 @@ class Session:
         """
         row = self.followed
         self._owner.pin(self.command)  # observed after this step
-        with deterministic(self._policy):
+        with _acting():
             observed = self._policy(self._td)
             if self._estimator is not None and observed.get(_KEYS.extrinsic_estimate, None) is None:
                 observed = self._estimator(observed)
