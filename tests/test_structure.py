@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import subprocess
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -108,3 +110,21 @@ def test_the_core_and_riding_do_not_name_walking():
             code = ast.unparse(ast.parse(path.read_text()))
             names = {node.id for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Name)}
             assert not any("walking" in name.lower() for name in {*names, *imports(path)}), path
+
+
+def test_nothing_but_the_command_line_imports_the_viewer_and_nothing_imports_its_libraries_at_once():
+    for path in FILES:
+        name = name_of(path)
+        inside = any(f"{name}.".startswith(f"{own}.") for own in ("torchrl_atr.viewer", "torchrl_atr.cli.view"))
+        assert inside or not any(f"{other}.".startswith("torchrl_atr.viewer.") for other in imports(path)), path
+        for node in ast.parse(path.read_text()).body:
+            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            modules += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            assert not {module.partition(".")[0] for module in modules} & {"viser", "mjviser"}, path
+
+
+def test_training_loads_no_viewer():
+    code = "import sys, torchrl_atr.training, torchrl_atr.cli.commands; print(list(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "viser" not in loaded
+    assert "torchrl_atr.viewer" not in loaded

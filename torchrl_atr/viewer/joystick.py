@@ -47,7 +47,7 @@ class Joystick:
         self._limits = limits
         scene = self._server.scene
         turned = (_QUARTER, 0.0, 0.0, -_QUARTER)  # the picture's top is ahead, its left side on the left
-        picture = pad_picture(area, limits)
+        picture = pad_picture(area, limits)[::-1]  # viser's pictures have y downwards, as cameras do
         pad = scene.add_image("/joystick/pad", picture, SIZE, SIZE, wxyz=turned, position=CENTRE, cast_shadow=False)
         self._stick = scene.add_icosphere("/joystick/stick", _RADIUS, _STICK, position=self._place(0.0, 0.0))
         for fraction, text in ((0.5, f"{limits[0]:.3g} m/s"), (-0.5, f"-{limits[0]:.3g} m/s")):

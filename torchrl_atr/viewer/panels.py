@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from torchrl_atr.evaluation.access import Component
 from torchrl_atr.viewer.loop import Loop
 from torchrl_atr.viewer.session import Session
 
@@ -107,7 +108,7 @@ class Panels:
         self._rewards.content = reward_bars(record.mean_rewards(_RECENT))
         index = self._component.options.index(self._component.value)
         component = session.components[index]
-        self._estimate.title = f"{component.label}, {component.unit}" if component.unit else component.label
+        self._estimate.title = _with_unit(component)
         self._estimate.draw(time, record["truth"][:, index], record["estimate"][:, index])
         self._estimates.content = estimates_table(session)
         self._power.draw(time, record["joint_power"], record["drive_power"])
@@ -148,9 +149,9 @@ def reward_bars(rewards: dict[str, float]) -> str:
         bar = f"position:absolute;left:{left:.1f}%;width:{share:.1f}%;height:100%;background:{colour}"
         text = html.escape(name.replace("_", " "))
         rows.append(
-            f'<div style="display:flex;gap:6px;font-size:11px;line-height:15px"><div style="width:42%">{text}</div>'
+            f'<div style="display:flex;gap:6px;font-size:11px;line-height:15px"><div style="width:46%">{text}</div>'
             f'<div style="position:relative;flex:1;background:#8882"><div style="{bar}"></div></div>'
-            f'<div style="width:18%;text-align:right">{value:+.4f}</div></div>'
+            f'<div style="width:17%;text-align:right">{value:+.4f}</div></div>'
         )
     return f'<div style="padding:6px 12px">{"".join(rows)}</div>'
 
@@ -160,9 +161,12 @@ def estimates_table(session: Session) -> str:
     assert session.reading is not None
     rows = [("", "truth", "estimate")]
     for component, truth, estimate in zip(session.components, session.reading.truth, session.reading.estimate):
-        unit = "" if component.unit in (None, "1") else f", {component.unit}"
-        rows.append((f"{component.label}{unit}", f"{truth:+.2f}", _number(estimate, "+.2f")))
+        rows.append((_with_unit(component), f"{truth:+.2f}", _number(estimate, "+.2f")))
     return _table(rows)
+
+
+def _with_unit(component: Component) -> str:
+    return component.label if component.unit in (None, "1") else f"{component.label}, {component.unit}"
 
 
 def _number(value: float, form: str = ".3f") -> str:
