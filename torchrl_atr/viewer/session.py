@@ -30,6 +30,7 @@ from torchrl_atr.modules.estimators import with_state
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_checkpoint, load_run
 from torchrl_atr.training.restoring import deployed_weights, load_networks
 from torchrl_atr.viewer.area import CommandArea, mastered_area
+from torchrl_atr.viewer.parameters import Parameters
 from torchrl_atr.viewer.poses import PoseReader
 from torchrl_atr.viewer.readings import Reading, Record
 from torchrl_atr.viewer.sensing import Sensing
@@ -160,7 +161,7 @@ class Session:
         size = self._base.observation_spec[_KEYS.extrinsic].shape[-1]
         self.components = extrinsic_components(env, size)
         self.terms = tuple(self._base.runner.terms.rewards.terms)
-        self._parameters: dict[int, dict[str, float]] = {}
+        self._parameters = Parameters(env)
         self.followed = min(self.followed, setup.robots - 1)
         self.lowest, self.highest = command_limits(env, tuple(self._owner.grid.bounds))
         self.builds += 1
@@ -191,13 +192,7 @@ class Session:
     @property
     def parameters(self) -> dict[str, tuple[float, float, float]]:
         """Lowest, highest and present value of the followed robot's payload (kg) and friction, where it has them."""
-        intrinsics = self._base.runner.intrinsics
-        values = intrinsics.values(self._base.runner.x_int)
-        return {
-            name: (*intrinsics.parameters[name].test, float(values[name][self.followed, 0]))
-            for name in ("payload", "friction")
-            if name in intrinsics.parameters
-        }
+        return self._parameters.values(self.followed)
 
     def steer(self, speed: float, yaw_rate: float) -> None:
         """Ask all robots for a speed (m/s) and a yaw rate (rad/s), clipped to what the task can ask for."""
@@ -231,8 +226,7 @@ class Session:
         self.steer(*self.command)
         with _acting():
             td = self.env.reset()
-        for row in self._parameters:
-            self._apply(row, td)
+        self._parameters.apply(range(self.setup.robots), td)
         return td
 
     def step(self) -> Reading:
@@ -254,9 +248,7 @@ class Session:
         reading = self._sensing.read(stepped, row, self.time, bool(down[row]))
         self.reading = reading
         self.record.add(reading)
-        for fallen in down.nonzero().squeeze(-1).tolist():
-            if fallen in self._parameters:
-                self._apply(fallen, self._td)
+        self._parameters.apply(down.nonzero().squeeze(-1).tolist(), self._td)
         return reading
 
     def push(self, forward: float, left: float) -> None:
@@ -275,24 +267,7 @@ class Session:
         Raises:
             InputError: for a parameter that the task does not have, or that has several components.
         """
-        intrinsics = self._base.runner.intrinsics
-        columns = intrinsics.slices.get(name)
-        if columns is None or columns.stop - columns.start != 1:
-            known = [each for each, part in intrinsics.slices.items() if part.stop - part.start == 1]
-            raise InputError(f"there is no intrinsic parameter {name!r} of one number; choose among {', '.join(known)}")
-        self._parameters.setdefault(self.followed, {})[name] = float(value)
-        self._apply(self.followed, self._td)
-
-    def _apply(self, row: int, td: TensorDictBase) -> None:
-        """Write a robot's chosen parameters into its model; its motion goes on."""
-        base, intrinsics = self._base, self._base.runner.intrinsics
-        state = base.get_state()
-        for name, value in self._parameters[row].items():
-            state["x_int"][row, intrinsics.slices[name]] = intrinsics.parameters[name].scaled(value)
-        if _KEYS.intrinsic in state["emitted"].keys(True, True):
-            state["emitted"].set(_KEYS.intrinsic, state["x_int"].clone())
-        base.set_state(state)
-        td.set(_KEYS.intrinsic, state["x_int"].clone())
+        self._parameters.choose(self.followed, name, value, self._td)
 
     def refresh(self) -> bool:
         """Load the checkpoint's weights if the run has written a new one; return whether it had.
