@@ -57,6 +57,16 @@ def test_pause_single_step_and_go_on():
     assert loop.session.steps == 3
 
 
+def test_a_slow_machine_shows_every_second_step():
+    shown = []
+    loop = Loop(Puppet(), show=lambda session: shown.append(session.steps))
+    loop.rate = 1e6  # no machine is that fast
+    loop._restart_clock()
+    for _ in range(5):
+        loop.turn()
+    assert shown == [1, 3, 5]
+
+
 def test_nobody_looks_nothing_moves():
     seen = []
     loop = Loop(Puppet(), watched=lambda: bool(seen))

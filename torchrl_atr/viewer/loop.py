@@ -28,7 +28,8 @@ class Loop:
 
     Args:
         session: to step.
-        show: called in the loop's thread after every step, and after actions while paused.
+        show: called in the loop's thread after every step, every second one where the machine is too slow, and after
+            actions while paused.
         warn: called with one line on an action that failed.
         watched: returns whether anyone looks.
 
@@ -57,6 +58,7 @@ class Loop:
         self._actions: queue.SimpleQueue[Action] = queue.SimpleQueue()
         self._ended = threading.Event()
         self._single = 0
+        self._late = self._hidden = False
         self._next = self._looked = time.monotonic()
         self._mark = (time.monotonic(), 0.0)
 
@@ -113,7 +115,9 @@ class Loop:
             return
         self._single = max(0, self._single - 1)
         self.session.step()
-        self.show(self.session)
+        self._hidden = self._late and not self._hidden  # a slow machine shows every second step
+        if not self._hidden:
+            self.show(self.session)
         self._keep_time()
 
     def _act(self) -> bool:
@@ -146,6 +150,7 @@ class Loop:
         self._next += CONTROL_DT / self.rate
         now = time.monotonic()
         wait = self._next - now
+        self._late = wait < 0
         if wait < -_BEHIND:
             self._next = now
         elif wait > 0:
@@ -159,4 +164,4 @@ class Loop:
 
     def _restart_clock(self) -> None:
         self._next = time.monotonic()
-        self._mark = self._next, 0.0
+        self._mark, self._late = (self._next, 0.0), False

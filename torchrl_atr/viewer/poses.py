@@ -80,7 +80,7 @@ class ChaseFrame:
         >>> frame = ChaseFrame()
         >>> frame.follow(np.array([3.0, 0.0]), math.pi / 2, dt=0.02)
         >>> frame.to_frame(np.array([[3.0, 1.0, 0.5]])).round(6).tolist()
-        [[1.0, -0.0, 0.5]]
+        [[1.0, 0.0, 0.5]]
     """
 
     def __init__(self) -> None:
