@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -29,6 +30,7 @@ LAYERS = [  # each may import from those before it, and from what is in none
     ("torchrl_atr.training",),
     ("torchrl_atr.comparison",),
     ("torchrl_atr.deploy",),
+    ("torchrl_atr.viewer",),
     ("torchrl_atr.cli",),
 ]
 
@@ -107,3 +109,24 @@ def test_the_core_and_riding_do_not_name_walking():
             code = ast.unparse(ast.parse(path.read_text()))
             names = {node.id for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Name)}
             assert not any("walking" in name.lower() for name in {*names, *imports(path)}), path
+
+
+def test_only_the_command_line_imports_the_viewer_and_its_libraries_wait_until_a_page_is_served():
+    for path in FILES:
+        name = name_of(path)
+        inside = any(f"{name}.".startswith(f"{own}.") for own in ("torchrl_atr.viewer", "torchrl_atr.cli.view"))
+        tree = ast.parse(path.read_text())
+        assert inside or not any(f"{each}.".startswith("torchrl_atr.viewer.") for each in modules(ast.walk(tree))), path
+        assert not {each.partition(".")[0] for each in modules(tree.body)} & {"viser", "mjviser"}, path
+    assert not any(name.startswith("torchrl_atr.viewer") for name in imports(PACKAGE / "cli" / "view.py"))
+
+
+def modules(nodes: Iterable[ast.AST]) -> set[str]:
+    """Modules that import statements name."""
+    found = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add(node.module or "")
+    return found

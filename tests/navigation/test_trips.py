@@ -14,8 +14,8 @@ from tensordict.nn import TensorDictModule
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs import make_env, make_riding_env
 from torchrl_atr.envs.tasks import walking
+from torchrl_atr.evaluation.energy import robot_mass
 from torchrl_atr.navigation import Map, Path, PursuitConfig, load_map, measure_power, run_trips
-from torchrl_atr.navigation.energy import robot_mass
 from torchrl_atr.navigation.report import trip_metrics, write_trips
 from torchrl_atr.navigation.trips import footprint_of, poses_of
 

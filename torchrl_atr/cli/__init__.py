@@ -1,4 +1,4 @@
-"""``torchrl-atr``: train | evaluate | play | export | verify | navigate | compare | replay | model | bench | list."""
+"""``torchrl-atr``: train | evaluate | play | demo | view | export | verify | navigate | compare | replay | ..."""
 
 from __future__ import annotations
 

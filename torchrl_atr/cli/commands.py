@@ -20,6 +20,7 @@ from torchrl_atr.cli.compare import compare
 from torchrl_atr.cli.navigate import navigate
 from torchrl_atr.cli.printing import replay_head, replay_line, step_progress
 from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
+from torchrl_atr.cli.view import demo, view
 from torchrl_atr.deploy.manifest import is_bundle
 from torchrl_atr.listings import LISTINGS, settings_page
 
@@ -274,6 +275,8 @@ COMMANDS: dict[str, Any] = {
     "train": train,
     "evaluate": evaluate,
     "play": play,
+    "demo": demo,
+    "view": view,
     "export": export,
     "verify": verify,
     "navigate": navigate,

@@ -13,6 +13,7 @@ from torchrl_atr._registry import nearest
 from torchrl_atr.cli.compare import add_compare
 from torchrl_atr.cli.navigate import add_navigate
 from torchrl_atr.cli.protocols import PROTOCOLS
+from torchrl_atr.cli.view import add_demo, add_view
 from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.listings import LISTINGS
 
@@ -69,6 +70,11 @@ def build_parser() -> argparse.ArgumentParser:
     commands.add_parser("train", help="train a policy; continue a run with --resume", add_help=False)
     _add_evaluate(commands.add_parser("evaluate", help="measure how the deployed policy tracks commands, or lasts"))
     _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
+    add_demo(commands.add_parser("demo", help="steer a riding robot in the browser"), _number, _run)
+    viewing = commands.add_parser("view", help="see, steer and read a policy or a run in the browser")
+    add_view(viewing, _number, _seed, _run)
+    _add_checkpoint(viewing)
+    _add_import(viewing)
     _add_bundles(commands)
     navigation = commands.add_parser("navigate", help="follow planned paths over a map, and measure the energy")
     add_navigate(navigation, _number, _seed, _run)

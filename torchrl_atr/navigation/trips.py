@@ -17,8 +17,8 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks.rotations import euler_from_matrix, matrix_from_quaternion
 from torchrl_atr.evaluation.access import base_env, command_limits, command_owner
+from torchrl_atr.evaluation.energy import Energy, cost_of_transport, measure_power, robot_mass
 from torchrl_atr.evaluation.ride import MakeEnv, RideStep, build_env, ride
-from torchrl_atr.navigation.energy import Energy, cost_of_transport, measure_power, robot_mass
 from torchrl_atr.navigation.map import Map
 from torchrl_atr.navigation.paths import Path, rectangles
 from torchrl_atr.navigation.pursuit import PurePursuit, PursuitConfig

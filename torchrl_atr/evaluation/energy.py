@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -28,8 +28,12 @@ class Power(NamedTuple):
     drive: Tensor
 
 
-def measure_power(env: EnvBase) -> Power:
+def measure_power(env: EnvBase, state: Any = None) -> Power:
     """Return the power of an env's robots after a step.
+
+    Args:
+        env: a QuadrupedEnv, transformed or not.
+        state: what its extractor reads now, if that has been read.
 
     Example:
         >>> from torchrl_atr.envs import make_riding_env
@@ -39,7 +43,7 @@ def measure_power(env: EnvBase) -> Power:
         torch.Size([2, 12])
     """
     base = base_env(env)
-    state = base.runner.terms.extractor.read()
+    state = base.runner.terms.extractor.read() if state is None else state
     delivered = getattr(base.engine.hook, "power", None)
     drive = torch.zeros(len(state.torque)) if delivered is None else delivered().float().clamp_min(0.0)
     return Power((state.torque * state.torque_velocity).clamp_min(0.0), drive)
