@@ -1,12 +1,14 @@
 """Survival of each robot on each transporter under zero action: ``python -m benchmarks.standing``.
 
-Drive on, command zero, no pushes. Measured with the trunk's centre of mass centred, in the full training range, and,
-for the large robots, on Table II's springs as printed (question A12).
+Drive on, command zero. Measured with the trunk's centre of mass centred, in the full training range, and there with
+pushes; in the robots' own stance and in the one that riding is trained in; for the large robots, on Table II's springs
+as printed, too (question A12).
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -22,6 +24,13 @@ from torchrl_atr.envs import ROBOTS, RidingEnv, get_interpretation
 from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.training.provenance import machine
+from torchrl_atr.training.settings import TaskConfig
+
+STANCE = TaskConfig().stance
+"""Wider, longer and lower, as shares of the standing height."""
+CONDITIONS = ((True, False), (False, False), (False, True))
+"""Whether the centre of mass is centred, and whether robots are pushed: the columns of the table."""
+_CASE = ("robot", "transporter", "scaled_springs", "wide", "centred", "pushed")
 
 
 @torch.no_grad()
@@ -30,6 +39,8 @@ def survival(
     transporter: str,
     *,
     centred: bool,
+    pushed: bool = False,
+    wide: bool = False,
     scaled_springs: bool = True,
     robots: int = 512,
     seconds: float = 5.0,
@@ -42,6 +53,8 @@ def survival(
         robot: name of the robot.
         transporter: name of the transporter.
         centred: whether the trunk's CoM shift is zero instead of drawn; all else is in its training range.
+        pushed: whether robots and transporters are pushed, every 3 s.
+        wide: whether robots stand as in training, :data:`STANCE`, instead of in their own q0.
         scaled_springs: field of that name of ``Interpretation`` (question A12); false: springs as in Table II.
         robots: number of robots.
         seconds: of standing.
@@ -50,7 +63,14 @@ def survival(
     """
     interpretation = get_interpretation("default", scaled_springs=scaled_springs)
     env = RidingEnv(
-        robot, transporter, robots, profile=interpretation, pushes=False, seed=seed, num_threads=num_threads
+        robot,
+        transporter,
+        robots,
+        profile=interpretation,
+        pushes=pushed,
+        stance=STANCE if wide else None,
+        seed=seed,
+        num_threads=num_threads,
     )
     if centred:
         state = env.get_state()
@@ -66,43 +86,44 @@ def survival(
 
 
 def cases() -> Iterator[dict[str, Any]]:
-    """Yield the measured cases: every pair, centred and not, the large robots on both kinds of springs."""
-    for robot in ROBOTS.names():
-        for transporter in TRANSPORTER_DESIGNS:
-            for scaled in (True, False) if ROBOTS.get(robot).group == "G2" else (True,):
-                for centred in (True, False):
-                    yield {
-                        "robot": robot,
-                        "transporter": transporter,
-                        "centred": centred,
-                        "scaled_springs": scaled,
-                    }
+    """Yield the measured cases: every pair in both stances, the large robots on both kinds of springs."""
+    for robot, transporter in itertools.product(ROBOTS.names(), TRANSPORTER_DESIGNS):
+        for scaled in (True, False) if ROBOTS.get(robot).group == "G2" else (True,):
+            for wide, (centred, pushed) in itertools.product((False, True), CONDITIONS):
+                yield {
+                    "robot": robot,
+                    "transporter": transporter,
+                    "scaled_springs": scaled,
+                    "wide": wide,
+                    "centred": centred,
+                    "pushed": pushed,
+                }
 
 
 def table(report: dict[str, Any]) -> str:
     """Return the report as Markdown."""
-    found = {
-        (row["robot"], row["transporter"], row["scaled_springs"], row["centred"]): row["survival"]
-        for row in report["survival"]
-    }
+    found = {tuple(row[name] for name in _CASE): row["survival"] for row in report["survival"]}
+    wider, longer, lower = STANCE
     lines = [
         "# Standing without acting",
         "",
         results.origin(report),
         "",
         f"Share of {report['robots']} robots (seed {report['seed']}) that are still up after {report['seconds']:g} s "
-        "of zero action, command zero, drive on, no pushes, intrinsics of Table II's training range: with the trunk's "
-        "centre of mass centred and everything else drawn, and with everything drawn (centre of mass ±20 cm). The "
-        "springs of the large (G2) transporters are five times Table II's by default (question A12, field "
-        "`scaled_springs`).",
+        "of zero action, command zero, drive on, intrinsics of Table II's training range: with the trunk's centre of "
+        "mass centred and everything else drawn; with everything drawn (centre of mass ±20 cm); and with pushes every "
+        f"3 s, too. The wide stance of training (`task.stance`) has the feet {wider:.0%} of the standing height "
+        f"further out and {longer:.0%} further apart along x, and the trunk {lower:.0%} lower. The springs of the "
+        "large (G2) transporters are five times Table II's by default (question A12, field `scaled_springs`).",
         "",
-        "| robot | transporter | springs | CoM centred | full range |",
-        "| --- | --- | --- | --- | --- |",
+        "| robot | transporter | springs | stance | CoM centred | full range | full range, pushes |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for robot, transporter, scaled in dict.fromkeys(key[:3] for key in found):
+    for robot, transporter, scaled, wide in dict.fromkeys(key[:4] for key in found):
         springs = "as printed" if not scaled or ROBOTS.get(robot).group == "G1" else "five times"
-        shares = (f"{found[robot, transporter, scaled, centred]:.1%}" for centred in (True, False))
-        lines.append(f"| {robot} | {transporter} | {springs} | {' | '.join(shares)} |")
+        shares = (f"{found[robot, transporter, scaled, wide, *condition]:.1%}" for condition in CONDITIONS)
+        stance = "wide" if wide else "own"
+        lines.append(f"| {robot} | {transporter} | {springs} | {stance} | {' | '.join(shares)} |")
     return "\n".join([*lines, ""])
 
 

@@ -15,6 +15,14 @@ def test_centred_a1_stands_where_an_off_centre_one_falls():
     assert drawn < centred
 
 
+def test_more_robots_survive_pushes_in_the_wide_stance():
+    more = {**FEW, "robots": 48, "seconds": 8.0}
+    own, wide = (
+        standing.survival("a1", "single_board", centred=False, pushed=True, wide=w, **more) for w in (False, True)
+    )
+    assert own < wide
+
+
 def test_springs_as_printed_let_a_large_robot_fall_sooner():
     scaled, printed = (
         standing.survival("spot", "single_board", centred=True, scaled_springs=s, seconds=2.0, **FEW)
@@ -25,7 +33,7 @@ def test_springs_as_printed_let_a_large_robot_fall_sooner():
 
 def test_cases_are_every_pair_and_the_large_ones_on_both_kinds_of_springs():
     cases = [case for case in standing.cases() if case["robot"] in ("a1", "go1", "anymal_c", "spot")]
-    assert len(cases) == 2 * 2 * 2 + 2 * 2 * 4
+    assert len(cases) == (2 * 2 + 2 * 2 * 2) * 2 * 3
     assert all(case["scaled_springs"] for case in cases if case["robot"] in ("a1", "go1"))
 
 
@@ -35,5 +43,5 @@ def test_report(tmp_path):
     report = json.loads((output / "standing.json").read_text())
     assert report["command"] == "python -m benchmarks.standing --robots 2 --seconds 0.1 --seed 0"
     text = (output / "README.md").read_text()
-    assert "| spot | two_board | as printed | 100.0% | 100.0% |" in text
-    assert "| a1 | single_board | as printed | 100.0% | 100.0% |" in text
+    assert "| spot | two_board | as printed | own | 100.0% | 100.0% | 100.0% |" in text
+    assert "| a1 | single_board | as printed | wide | 100.0% | 100.0% | 100.0% |" in text

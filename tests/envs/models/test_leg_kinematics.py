@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs import QuadrupedEnv
 from torchrl_atr.envs.models import ROBOTS, RobotError
 from torchrl_atr.envs.models.feet import find_feet
@@ -44,6 +45,11 @@ def test_a_stance_moves_the_feet_apart_and_the_trunk_down(name):
 def test_a_stance_beyond_the_legs_is_named():
     with pytest.raises(RobotError, match=r"robot 'a1': its legs do not reach a stance 0.5 wider"):
         with_stance(ROBOTS.get("a1"), wider=0.5, longer=0.5, lower=-0.4)
+
+
+def test_a_stance_of_two_numbers_is_refused():
+    with pytest.raises(InputError, match=r"stance=\(0.1, 0.1\) has 2 numbers; give three: wider, longer, lower"):
+        riding("a1", stance=(0.1, 0.1))
 
 
 def test_a_task_in_another_stance_is_made_again_from_its_arguments():

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from torchrl_atr._checks import check_flag, check_number
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import RobotSpec, Transporter, TransporterSpec, get_robot, get_transporter
 from torchrl_atr.envs.models.leg_kinematics import with_stance
@@ -103,9 +104,8 @@ def riding(
     displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
     dead_reckoned, velocity = dead_reckoning(velocity_filter)
     interpretation = get_interpretation(profile)
-    wider, longer, lower = (check_number("stance", share, -0.5, 0.5) for share in stance or (0.0, 0.0, 0.0))
-    rider = with_stance(with_gains(get_robot(robot), gains), wider, longer, lower)
-    stands = {"stance": [wider, longer, lower]} if any((wider, longer, lower)) else {}
+    shares = _checked_stance(stance)
+    rider = with_stance(with_gains(get_robot(robot), gains), *shares)
     spec = get_transporter(transporter, rider)
     tilt = {NAME: support_tilt(rider)} if check_flag("observe_tilt", observe_tilt) else {}
     return Task(
@@ -132,9 +132,16 @@ def riding(
             "robot": describe_robot(robot),
             "transporter": describe_transporter(spec),
             **gain_arguments(gains),
-            **stands,
+            **({"stance": list(shares)} if any(shares) else {}),
         },
     )
+
+
+def _checked_stance(stance: Sequence[float] | None) -> tuple[float, float, float]:
+    shares = (0.0, 0.0, 0.0) if stance is None else tuple(check_number("stance", share, -0.5, 0.5) for share in stance)
+    if len(shares) != 3:
+        raise InputError(f"stance={stance!r} has {len(shares)} numbers; give three: wider, longer, lower")
+    return shares
 
 
 def _steering_schedule(peak: float, end: float, peak_at: float) -> dict[str, Callable[[float], float]]:
