@@ -99,13 +99,13 @@ class TaskConfig(Settings):
     leaves it alone. Turns are rewarded later and with more noise than speeds."""
     steering_weight_end: float = setting(2.0, within=(0, 100), off=1.0)
     """Value that this factor falls to from there until the run ends. Fewer robots fall at the end."""
-    fall_weight: float = setting(150.0, within=(0, 1e6), off=1.0, addition="weight of a fall")
+    fall_weight: float = setting(50.0, within=(0, 1e6), off=1.0, addition="weight of a fall")
     """Factor of r17 in what is learned from. As printed, times dt, a fall costs less than a step of tracking earns."""
     rewards: dict[str, float] = setting({}, within=(-1e6, 1e6))
     """Weights of reward terms, by name, in place of the task's own: `list rewards`."""
     randomization: dict[str, Ranges] = setting({}, within=(-1e6, 1e6))
     """Ranges of intrinsic parameters, by name, in place of the task's own."""
-    pushes: Pushes = field(default_factory=partial(Pushes, interval=2.0, robot=0.6, speed=0.6, yaw_rate=0.3))
+    pushes: Pushes = field(default_factory=partial(Pushes, interval=2.0))
     interpretation: Interpretation = field(default_factory=Interpretation)
 
 
@@ -130,7 +130,7 @@ class CurriculumConfig(Settings):
     """Half width of the first command box; 0 for all of it. A wider first box, for runs of an hour."""
     initial_yaw_rate: float = setting(0.3, within=(0, MAX_YAW_RATE), unit="rad/s", paper=0.3)
     """Half width of the first command box; 0 for all of it. As in the paper."""
-    max_speed: float = setting(3.0, within=(0, MAX_SPEED), unit="m/s", off=0.0, addition="a box of commands")
+    max_speed: float = setting(2.2, within=(0, MAX_SPEED), unit="m/s", off=0.0, addition="a box of commands")
     """Half width of the box that commands never leave, a multiple of the task's bins (riding: 0.2); 0 for the task's
     own. Larger boxes cost precision: an hour is short."""
     max_yaw_rate: float = setting(1.2, within=(0, MAX_YAW_RATE), unit="rad/s", off=0.0)
