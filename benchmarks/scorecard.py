@@ -89,7 +89,9 @@ def page(report: Mapping[str, Any]) -> str:
         *(row(name, metrics) for name, metrics in report["evaluations"].items()),
         "",
     ]
-    lasting = report["evaluations"]["endurance"]
+    lasting = report["evaluations"].get("endurance")
+    if lasting is None:  # not among the rows that were asked for
+        return "\n".join(lines)
     drift, (low, high) = lasting["estimate_drift"], lasting["estimate_drift_interval"]
     lines += [
         f"The error of the estimated platform speed in the last 10 s of a minute is {drift:.2f} times "
