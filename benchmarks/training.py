@@ -12,10 +12,14 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.stopwatch import Stopwatch
 from benchmarks.summary import TRAINED
 from benchmarks.timing import Contender, Key
-from torchrl_atr.training import TrainConfig, Trainer, make_config
+from torchrl_atr._nested import flat
+from torchrl_atr.training import TrainConfig, Trainer, load_checkpoint, make_config
+from torchrl_atr.training.restoring import checkpoint_config
 
 RIDE = Path(__file__).parents[1] / "results" / "a1-single_board"
 """Run whose robots rarely fall, as in most iterations of any run; untrained ones fall within seconds."""
+
+_SIZES = ("env.num_envs", "ppo.rollout_steps", "ppo.minibatches", "compute.", "logging.")
 
 
 class TrainingLoop:
@@ -24,10 +28,13 @@ class TrainingLoop:
     Args:
         config: of the run.
         folder: for the trainer's files.
-        riding: whether it begins with the networks of :data:`RIDE`.
+        riding: whether it begins with the networks of :data:`RIDE`, in its task, with the sizes of ``config``.
     """
 
     def __init__(self, config: TrainConfig, folder: Path, riding: bool = False) -> None:
+        if riding:
+            sizes = {path: value for path, value in flat(config.to_dict()).items() if path.startswith(_SIZES)}
+            config = checkpoint_config(load_checkpoint(RIDE), RIDE, changed=sizes)
         self.config, self.riding = config, riding
         self.trainer = Trainer(config, folder, begin_from=RIDE if riding else None)
         self.learner, self.env = self.trainer.learner, self.trainer.env

@@ -59,7 +59,7 @@ def modes(networks):
 
 @pytest.fixture
 def seen():
-    env = make_riding_env(num_envs=4, num_threads=1, seed=0)
+    env = make_riding_env(num_envs=4, num_threads=1, seed=0, observe_tilt=True)
     return env.rollout(3, break_when_any_done=False)[:, -1]
 
 
@@ -92,7 +92,7 @@ def test_using_a_policy_leaves_every_module_in_the_mode_that_it_was_in(trainer):
         assert modes(networks) == expected
         evaluate_tracking(
             networks.deployed_policy(),
-            lambda num_envs, seed: make_riding_env(num_envs=num_envs, seed=seed, num_threads=1),
+            lambda num_envs, seed: make_riding_env(num_envs=num_envs, seed=seed, num_threads=1, observe_tilt=True),
             ([0.0], [0.0]),
             robots_per_command=2,
             seconds=0.2,
@@ -105,7 +105,7 @@ def test_a_ride_is_that_of_the_deployed_policy(trainer):
     """Played from networks in training mode, too: twice the same, bit for bit."""
     rides = []
     for networks in (trainer.learner.networks, trainer.learner.networks):
-        env = make_riding_env(num_envs=1, num_threads=1, seed=3)
+        env = make_riding_env(num_envs=1, num_threads=1, seed=3, observe_tilt=True)
         list(ride(networks.deployed_policy(), env, [(0.0, 0.5, 0.0)], 10))
         rides.append(env.base_env.engine.qpos.clone())
     assert (rides[0] == rides[1]).all()

@@ -86,7 +86,7 @@ def with_stance(robot: RobotSpec, wider: float, longer: float, lower: float) -> 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS
         >>> round(with_stance(ROBOTS.get("a1"), 0.15, 0.1, 0.1).standing_height, 3)
-        0.27
+        0.252
     """
     if not any((wider, longer, lower)):
         return robot
