@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Literal
 
 from torchrl_atr._settings import Settings, setting
@@ -34,8 +33,8 @@ class EnvConfig(Settings):
     """Time limit of episodes at first; 0 for episode_seconds throughout. Short episodes begin often, at every speed,
     and teach tracking sooner. It needs staggered_starts."""
     short_episodes: float = setting(0.0, within=(0, 1))
-    """Share of the episodes that keep the first time limit. Short ones teach tracking, long ones lasting; with 0.8, at a
-    quarter of the length, half of the steps are of each, and fewer robots last a minute."""
+    """Share of the episodes that keep the first time limit. Short ones teach tracking, long ones lasting; with 0.8, at
+    a quarter of the length, half of the steps are of each, and fewer robots last a minute."""
     episodes_grow_from: float = setting(0.03, within=(0, 1))
     """Share of the run after which the time limit grows geometrically. Robots stay up for a few seconds by then."""
     episodes_grow_until: float = setting(0.1, within=(0, 1))
@@ -82,11 +81,9 @@ class TaskConfig(Settings):
     """Nominal stiffness of the joints' PD controllers; 0 for the robot's own."""
     kd: float = setting(0.0, within=(0, 1e5), unit="N m s/rad")
     """Nominal damping of the joints' PD controllers; 0 for the robot's own."""
-    stance: tuple[float, ...] = setting(
-        (0.15, 0.1, 0.0), within=(-0.5, 0.5), off=(0.0, 0.0, 0.0), addition="a wide and long stance"
-    )
-    """Riding only: how much wider, longer and lower the robot stands than in its own q0, as shares of its height. More
-    robots that hold still survive pushes in it; lower ones sink too low."""
+    stance: tuple[float, ...] = setting((0.0, 0.0, 0.0), within=(-0.5, 0.5))
+    """Riding only: how much wider, longer and lower the robot stands than in its own q0, as shares of its height. In a
+    wide one more robots that hold still survive pushes, but fewer that ride: their trunks sink too low."""
     moving_start: float = setting(0.5, within=(0, 1), off=0.0, addition="moving starts")
     """Share of the episodes whose transporter starts at part of the commanded speeds. A lean changes the yaw rate only
     seconds later: a robot that starts in a turn is rewarded at once for the lean that keeps it."""
@@ -99,13 +96,13 @@ class TaskConfig(Settings):
     leaves it alone. Turns are rewarded later and with more noise than speeds."""
     steering_weight_end: float = setting(2.0, within=(0, 100), off=1.0)
     """Value that this factor falls to from there until the run ends. Fewer robots fall at the end."""
-    fall_weight: float = setting(150.0, within=(0, 1e6), off=1.0, addition="weight of a fall")
+    fall_weight: float = setting(1.0, within=(0, 1e6))
     """Factor of r17 in what is learned from. As printed, times dt, a fall costs less than a step of tracking earns."""
     rewards: dict[str, float] = setting({}, within=(-1e6, 1e6))
     """Weights of reward terms, by name, in place of the task's own: `list rewards`."""
     randomization: dict[str, Ranges] = setting({}, within=(-1e6, 1e6))
     """Ranges of intrinsic parameters, by name, in place of the task's own."""
-    pushes: Pushes = field(default_factory=partial(Pushes, interval=2.0, robot=0.6, speed=0.6, yaw_rate=0.3))
+    pushes: Pushes = field(default_factory=Pushes)
     interpretation: Interpretation = field(default_factory=Interpretation)
 
 
@@ -117,7 +114,7 @@ class CurriculumConfig(Settings):
 
     command_seconds: float = setting(5.0, within=(0.1, 1e6), unit="s")
     """Duration of a command. As in the paper."""
-    tracking_threshold: float = setting(0.7, within=(0.01, 1), paper=0.8)
+    tracking_threshold: float = setting(0.6, within=(0.01, 1), paper=0.8)
     """Share γ_v = γ_ω of perfect tracking that lets the command grid grow. 0.8 was too slow for runs of an hour."""
     score_from_seconds: float = setting(
         1.0, within=(0, 1e6), question="A6", unit="s", off=0.0, addition="scores without the first second of a command"
@@ -130,10 +127,10 @@ class CurriculumConfig(Settings):
     """Half width of the first command box; 0 for all of it. A wider first box, for runs of an hour."""
     initial_yaw_rate: float = setting(0.3, within=(0, MAX_YAW_RATE), unit="rad/s", paper=0.3)
     """Half width of the first command box; 0 for all of it. As in the paper."""
-    max_speed: float = setting(2.0, within=(0, MAX_SPEED), unit="m/s", off=0.0, addition="a box of commands")
+    max_speed: float = setting(5.0, within=(0, MAX_SPEED), unit="m/s", off=0.0, addition="a box of commands")
     """Half width of the box that commands never leave, a multiple of the task's bins (riding: 0.2); 0 for the task's
-    own. Larger boxes cost precision: an hour is short."""
-    max_yaw_rate: float = setting(1.0, within=(0, MAX_YAW_RATE), unit="rad/s", off=0.0)
+    own. Runs of two hours do not learn faster commands."""
+    max_yaw_rate: float = setting(1.4, within=(0, MAX_YAW_RATE), unit="rad/s", off=0.0)
     """Half width of the box that commands never leave, likewise."""
 
 

@@ -84,13 +84,13 @@ class Pushes(Settings):
 
     group = "task.pushes"
 
-    interval: float = setting(3.0, off=3.0, within=(0, 1e6), unit="s", addition="more and harder pushes")
+    interval: float = setting(3.0, within=(0, 1e6), unit="s")
     """Time between two pushes; 0 for none. Four of five falls come within a second of a push."""
-    robot: float = setting(0.5, off=0.5, within=(0, 100), unit="m/s")
+    robot: float = setting(0.5, within=(0, 100), unit="m/s")
     """Largest change of the robot's velocity along x and y."""
-    speed: float = setting(0.5, off=0.5, within=(0, 100), unit="m/s")
+    speed: float = setting(0.5, within=(0, 100), unit="m/s")
     """Largest change of the transporter's forward speed."""
-    yaw_rate: float = setting(0.25, off=0.25, within=(0, 100), unit="rad/s")
+    yaw_rate: float = setting(0.25, within=(0, 100), unit="rad/s")
     """Largest change of its yaw rate."""
 
     @staticmethod
