@@ -8,12 +8,11 @@ import functools
 import inspect
 import itertools
 import numbers
-import operator
 import textwrap
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, cast
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -124,11 +123,8 @@ def _settings(kind: Any, prefix: str = "") -> dict[str, Setting]:
             own = field.metadata["setting"]
             text = _texts(kind).get(name, "")
             found[path] = dataclasses.replace(own, path=path, default=_default(field), kind=hint, text=text)
-        else:  # a group may have other defaults in a configuration than elsewhere
-            group = cast(Callable[[], Any], field.default_factory)()
-            for below, each in _settings(hint, path).items():
-                default = operator.attrgetter(below.removeprefix(f"{path}."))(group)
-                found[below] = dataclasses.replace(each, default=default)
+        else:
+            found |= _settings(hint, path)
     return found
 
 

@@ -16,7 +16,7 @@ ActSourceName = Literal["privileged", "estimated", "mixed"]
 ACT_SOURCES: tuple[str, ...] = get_args(ActSourceName)
 ActorInput = Literal["history", "latent", "extrinsic"]
 ACTOR_INPUTS: tuple[ActorInput, ...] = get_args(ActorInput)
-"""What an actor may read beside the observation, in the order in which it reads it."""
+"""Inputs that an actor may read beside the observation, in the order in which it reads it."""
 _KEYS = NetworkKeys()
 
 

@@ -242,10 +242,10 @@ class ROAConfig(Settings):
     """Grow λ linearly from 0 over the run. Open whether λ = 0.2 is constant or the end of a ramp. Constant; Extreme
     Parkour ramps it up."""
     actor_reads: tuple[ActorInput, ...] = setting(("latent", "extrinsic"))
-    """What the actor reads beside o_t: history, latent (z), extrinsic (x_ext), or some of these. There is an encoder,
+    """Inputs of the actor beside o_t: history, latent (z), extrinsic (x_ext), or some of these. There is an encoder,
     and an estimator, of what it reads alone; docs/adaptation.md. As in the paper."""
     policy_update: Literal["ppo", "imitation", "none"] = setting("ppo")
-    """What trains the policy: ppo; imitation of the actions that the policy of --from takes on privileged information;
+    """Update of the policy: ppo; imitation of the actions that the policy of --from takes on privileged information;
     or nothing: then that policy stays as it is, and estimators learn in it. As in the paper."""
     act_source: ActSourceName = setting(
         "mixed", question="A24", off="privileged", addition="acting on estimates in training"

@@ -1,4 +1,4 @@
-"""What a session tells about the followed robot: one reading per control step, and a record of the last seconds."""
+"""Readings of the followed robot: one reading per control step, and a record of the last seconds."""
 
 from __future__ import annotations
 

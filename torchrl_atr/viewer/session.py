@@ -52,7 +52,7 @@ def _acting() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a session rides.
+    """Setup of a session: policy, robot and conditions.
 
     Attributes:
         policy: folder of a run or of a policy bundle.
