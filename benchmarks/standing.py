@@ -28,7 +28,7 @@ from torchrl_atr.training.provenance import machine
 STANCE = (0.15, 0.1, 0.0)
 """Wider, longer and lower, as shares of the standing height."""
 CONDITIONS = ((True, False), (False, False), (False, True))
-"""Whether the centre of mass is centred, and whether robots are pushed: the columns of the table."""
+"""Centred centre of mass, and pushes, of each column of the table."""
 _CASE = ("robot", "transporter", "scaled_springs", "wide", "centred", "pushed")
 
 

@@ -35,7 +35,7 @@ def section() -> str:
         "",
         f"{_origin(card['run'])} [{LONG}]({LONG}) holds the policy and all of its figures, the test range included. "
         f"Five minutes: {_origin(short['run'])} They buy a robot that mostly stays up and "
-        "follows speeds loosely; turning takes half an hour.",
+        "follows speeds loosely; turning takes an hour or two.",
     ]
     return "\n".join(lines)
 

@@ -23,7 +23,7 @@ class Browser:
         self._socket.send(msgspec.msgpack.encode(message.as_serializable_dict()))
 
     def show_camera(self, position=(-2.5, 0.9, 1.7)):
-        """What a browser sends first, and after which the server counts it."""
+        """Send the message that a browser sends first, after which the server counts it."""
         zero, up = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
         self.tell(_messages.ViewerCameraMessage((1.0, 0.0, 0.0, 0.0), position, 1.0, 0.1, 100.0, 700, 900, zero, up))
 

@@ -35,11 +35,7 @@ _NEEDED = (
 )
 """Entries of a checkpoint that every reader of a run needs."""
 
-_SINCE = {
-    ("ppo", "tracking_errors"): False,
-    ("task", "observe_tilt"): False,
-    ("task", "stance"): (0.0, 0.0, 0.0),
-}
+_SINCE = {("ppo", "tracking_errors"): False, ("task", "observe_tilt"): False}
 """Settings that change the networks and that older runs lack, with what those runs did."""
 
 
