@@ -46,6 +46,7 @@ def make_env(
     time_limit_growth: TimeLimitGrowth | None = None,
     window: int = 250,
     grid: CommandGrid | None = None,
+    command_slew: tuple[float, float] | None = None,
     overspeed_margin: tuple[float, float] | None = None,
     compact_storage: bool = False,
     **curriculum: Any,
@@ -72,6 +73,7 @@ def make_env(
             :class:`~torchrl_atr.envs.transforms.TimeLimitGrowth`.
         window: control steps that a command lasts (5 s at 50 Hz).
         grid: the curriculum's cells and update rule; None for the task's.
+        command_slew: largest change of the command per second, in its units; None for commands that jump.
         overspeed_margin: end episodes of robots faster than any command by this much, in the units of the command (for
             training).
         compact_storage: whether collected steps hold the history at the root alone, and reward terms in ``next`` alone
@@ -110,6 +112,7 @@ def make_env(
         time_limit_growth=time_limit_growth,
         window=window,
         grid=grid,
+        command_slew=command_slew,
         overspeed_margin=overspeed_margin,
         overspeed_penalty=env.runner.terms.rewards.termination_cost,
         compact_storage=compact_storage,

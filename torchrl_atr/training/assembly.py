@@ -94,6 +94,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "thresholds": (config.curriculum.tracking_threshold,) * 2,
         "score_from": round(config.curriculum.score_from_seconds / CONTROL_DT),
         "compact_storage": True,
+        "command_slew": config.curriculum.slew_rates or None,
         "overspeed_margin": config.env.overspeed_margin or None,
         "grid": trained,
     }

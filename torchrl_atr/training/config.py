@@ -229,8 +229,9 @@ def _problems(config: TrainConfig) -> Iterator[str]:
                 f"{path}=true needs an estimate that the actor does not read: roa.actor_reads="
                 f"{','.join(reads) or 'none'} lacks {' and '.join(missing)}; add it there, or set {path}=false"
             )
-    if len(config.env.overspeed_margin) not in (0, 2):
-        yield f"env.overspeed_margin={config.env.overspeed_margin}: give two numbers, m/s and rad/s, or none"
+    for path, units in {"env.overspeed_margin": "m/s and rad/s", "curriculum.slew_rates": "m/s² and rad/s²"}.items():
+        if len(given := operator.attrgetter(path)(config)) not in (0, 2):
+            yield f"{path}={given}: give two numbers, {units}, or none"
     if compute.collector != "direct" and config.env.num_envs % compute.workers:
         yield (
             f"env.num_envs={config.env.num_envs} cannot be shared evenly by compute.workers={compute.workers}; choose "

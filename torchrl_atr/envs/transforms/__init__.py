@@ -5,12 +5,14 @@ from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
+from torchrl_atr.envs.transforms.slew import CommandSlew
 from torchrl_atr.envs.transforms.stack import task_transforms
 from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter, TimeLimitGrowth
 
 __all__ = [
     "CommandCurriculum",
     "CommandGrid",
+    "CommandSlew",
     "CompactStorage",
     "ObservationHistory",
     "OverspeedTermination",

@@ -12,6 +12,7 @@ from torchrl_atr.envs.transforms.compact_storage import CompactStorage
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
+from torchrl_atr.envs.transforms.slew import CommandSlew
 from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter, TimeLimitGrowth
 
 
@@ -23,6 +24,7 @@ def task_transforms(
     max_steps: int = 1000,
     stagger: int = 0,
     time_limit_growth: TimeLimitGrowth | None = None,
+    command_slew: tuple[float, float] | None = None,
     overspeed_margin: tuple[float, float] | None = None,
     overspeed_penalty: float = 0.0,
     compact_storage: bool = False,
@@ -43,6 +45,7 @@ def task_transforms(
         stagger: If positive, the first episodes end at different times, and the limit is checked every ``stagger``
             steps: a :class:`RandomizedStepCounter`.
         time_limit_growth: Lower time limit at first, of a :class:`RandomizedStepCounter`, which ``stagger`` makes.
+        command_slew: If given, rates of a :class:`CommandSlew` behind the curriculum, m/s² and rad/s².
         overspeed_margin: If given, of a :class:`OverspeedTermination` behind the curriculum, m/s and rad/s.
         overspeed_penalty: Added to the reward where an episode ends for its speed.
         compact_storage: Whether collected steps hold the history at the root alone, and reward terms in ``next`` alone:
@@ -63,9 +66,12 @@ def task_transforms(
     if overspeed_margin is not None:
         check_pair("overspeed_margin", overspeed_margin, "two positive numbers (m/s, rad/s)")
     command = CommandCurriculum(tracking_max, **curriculum)
+    moving = curriculum.get("unscored_key")
+    slews = [CommandSlew(command_slew, moving_key=moving, command_key=command.command_key)] if command_slew else []
     guards = [] if overspeed_margin is None else [OverspeedTermination(command, overspeed_margin, overspeed_penalty)]
     return Compose(
         command,
+        *slews,
         *guards,
         CatTensors(["proprio", command.command_key], "observation", sort=False, del_keys=False),
         ObservationHistory(history_length, include_current=include_current),
