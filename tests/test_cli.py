@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from functools import partial
 
 import mujoco
 import pytest
@@ -129,10 +130,17 @@ def test_a_policy_rides_another_transporter_by_name(tmp_path, capsys, monkeypatc
         assert "unknown transporter 'sled'; known: single_board, two_board" in capsys.readouterr().err
 
 
+def watched(measure, policies, policy, *arguments, **options):
+    policies.append(policy)
+    return measure(policy, *arguments, **options)
+
+
 def test_commands_are_clipped_to_the_range_that_an_evaluation_recorded(tmp_path, capsys, monkeypatch):
     run, ranges = tmp_path / "run", [CommandRange(0.5, 0.2, 0.1), None]
     assert main(["train", *TINY, "--total-frames", "8", "--output", str(run)]) == 0
     monkeypatch.setattr(evaluation, "mastered_range", lambda result: ranges.pop(0))
+    measure, measured = evaluation.evaluate_tracking, []
+    monkeypatch.setattr(evaluation, "evaluate_tracking", partial(watched, measure, measured))
     few = ["evaluate", str(run), "--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
 
     def applied() -> dict[str, float] | None:
@@ -144,6 +152,8 @@ def test_commands_are_clipped_to_the_range_that_an_evaluation_recorded(tmp_path,
     assert isinstance(load_run(run)[2].deployed_policy(), CommandClippedPolicy)
     assert main(few) == 0
     assert applied() == dataclasses.asdict(CommandRange(0.5, 0.2, 0.1))
+    assert main([*few, "--act-source", "privileged"]) == 0
+    assert [isinstance(policy, CommandClippedPolicy) for policy in measured] == [False, True, True]
     assert main([*few, "--command-range", "record"]) == 0
     assert "no command is mastered" in capsys.readouterr().out
     assert not (run / "command_range.json").exists()

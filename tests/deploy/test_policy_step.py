@@ -20,8 +20,15 @@ OTHERS = [
         "task.interpretation.gravity_in_acceleration": True,
         "preset": "concurrent",
     },
-    {"preset": "asymmetric", "env.history_length": 3, "task.transporter": "two_board"},
+    {"preset": "asymmetric", "env.history_length": 3, "task.transporter": "two_board", "curriculum.slew_rates": ()},
 ]
+
+
+def anything(env, step):
+    """Return a state that is not read: all episodes start first."""
+    history = torch.full(env.observation_spec["history"].shape, torch.nan)
+    nothing = {"last_action": torch.zeros(2, 12), "last_command": torch.full((2, 2), torch.nan)}
+    return {"history": history, "dead_reckoning": step.rest.expand(2, -1), **nothing}
 
 
 @pytest.mark.parametrize("settings", OTHERS)
@@ -31,12 +38,12 @@ def test_it_acts_as_the_policy_does_in_its_env(tmp_path, settings):
     limits.save(tmp_path)
     config, env, networks, _ = load_run(tmp_path, num_envs=2)
     base = env.base_env
-    step = PolicyStep(networks, base.task, base.scene, config.task.velocity_filter, limits).eval()
+    rates = config.curriculum.slew_rates
+    step = PolicyStep(networks, base.task, base.scene, config.task.velocity_filter, limits, rates).eval()
     recorded = record(torchrl_atr.load_policy(tmp_path), steps=120)
     episode = {name: torch.from_numpy(value) for name, value in recorded.items()}
     assert episode["start"][1:].any()
-    history = torch.full(env.observation_spec["history"].shape, torch.nan)  # whatever it is: episodes start first
-    state = {"history": history, "dead_reckoning": step.rest.expand(2, -1), "last_action": torch.zeros(2, 12)}
+    state = anything(env, step)
     errors = []
     for t in range(len(episode["start"])):
         readings = {name: episode[name][t] for name in (*SENSORS, "command")}
@@ -45,3 +52,24 @@ def test_it_acts_as_the_policy_does_in_its_env(tmp_path, settings):
         state = {name: getattr(out, source) for name, source in STATE.items()}
         errors.append((out.action - episode["action"][t]).abs().max().item())
     assert np.max(errors) < 1e-4
+
+
+def test_the_command_approaches_what_is_asked_for_within_the_range(tmp_path):
+    Trainer(make_config(TINY), tmp_path).save()
+    config, env, networks, _ = load_run(tmp_path, num_envs=2)
+    base, limits = env.base_env, CommandRange(2.0, 1.0, 0.5)
+    step = PolicyStep(networks, base.task, base.scene, config.task.velocity_filter, limits, (50.0, 25.0)).eval()
+    state, sizes = anything(env, step), base.runner.terms.observations.sizes["proprio"]
+    readings = dict(zip(sizes, env.reset()["proprio"].split(list(sizes.values()), -1)))
+    asked, followed = torch.tensor([[9.0, 0.2], [0.5, -4.0]]), []
+    for t in range(4):
+        with torch.no_grad():
+            given = {name: readings[name] for name in SENSORS}
+            out = step(start=torch.full((2, 1), t == 0), **given, command=asked, **state)
+        state = {name: getattr(out, source) for name, source in STATE.items()}
+        assert torch.allclose(out.command_in_range, torch.tensor([[2.0, 0.2], [0.5, -1.0]]))  # |v ω| is 0.4 and 0.5
+        assert torch.equal(out.next_history[:, -1, -2:], out.command_in_force)
+        followed.append(out.command_in_force)
+    line = torch.stack(followed)  # by 1 m/s and 0.5 rad/s a step, from zero
+    assert torch.allclose(line[:, 0], torch.tensor([[0.0, 0.0], [1.0, 0.2], [2.0, 0.2], [2.0, 0.2]]))
+    assert torch.allclose(line[:, 1], torch.tensor([[0.0, 0.0], [0.5, -0.5], [0.5, -1.0], [0.5, -1.0]]))

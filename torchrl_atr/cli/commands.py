@@ -18,6 +18,7 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.bundles import export, verify
 from torchrl_atr.cli.compare import compare
 from torchrl_atr.cli.navigate import navigate
+from torchrl_atr.cli.plot import plot
 from torchrl_atr.cli.printing import replay_head, replay_line, step_progress
 from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
 from torchrl_atr.cli.view import demo, view
@@ -281,6 +282,7 @@ COMMANDS: dict[str, Any] = {
     "verify": verify,
     "navigate": navigate,
     "compare": compare,
+    "plot": plot,
     "replay": replay,
     "model": write_model,
     "bench": bench,

@@ -12,6 +12,7 @@ from torchrl_atr import __version__
 from torchrl_atr._registry import nearest
 from torchrl_atr.cli.compare import add_compare
 from torchrl_atr.cli.navigate import add_navigate
+from torchrl_atr.cli.plot import add_plot
 from torchrl_atr.cli.protocols import PROTOCOLS
 from torchrl_atr.cli.view import add_demo, add_view
 from torchrl_atr.deploy.manifest import find_policy
@@ -82,6 +83,7 @@ def build_parser() -> argparse.ArgumentParser:
     add_compare(comparison, _number, _seed, _path, _run)
     _add_checkpoint(comparison)
     _add_import(comparison)
+    add_plot(commands.add_parser("plot", help="draw figures over runs, for papers"), _path)
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
     replay.add_argument("dump", type=_path)
     _add_import(replay)

@@ -72,7 +72,7 @@ def tracking(
     from torchrl_atr.evaluation import evaluate_tracking, tracking_metrics, write_report
 
     result = evaluate_tracking(
-        networks.rollout_policy(arguments.act_source),
+        networks.deployed_policy(arguments.act_source),
         make_env,
         _grid(arguments, config.make_task().command.grid),
         robots_per_command=arguments.robots_per_command,
@@ -98,7 +98,7 @@ def endurance(
 
     overspeed = (margin[0], margin[1]) if (margin := config.env.overspeed_margin) else OVERSPEED
     result = evaluate_endurance(
-        networks.rollout_policy(arguments.act_source),
+        networks.deployed_policy(arguments.act_source),
         partial(make_env, pushes=arguments.pushes),
         robots=arguments.robots,
         seconds=arguments.seconds,

@@ -120,6 +120,7 @@ def describe_policy(
             **command,
             "limits": vars(limits),
             "clipping": clipping,
+            "slew_rates": list(config.curriculum.slew_rates) or None,
             "source": "mastered: `torchrl-atr evaluate --command-range record`" if mastered else "trained",
             "trained": None if grid is None else dict(zip(command["names"], grid.bounds)),
         },

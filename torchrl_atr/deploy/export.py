@@ -83,7 +83,8 @@ def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoin
         grid, recorded = config.grid, networks.command_range
         assert grid is not None  # of riding; other tasks are refused in the next line but one
         limits = recorded or CommandRange(*grid.bounds)
-        step = PolicyStep(networks, base.task, base.scene, config.task.velocity_filter, limits).eval()
+        velocity_filter, rates = config.task.velocity_filter, config.curriculum.slew_rates
+        step = PolicyStep(networks, base.task, base.scene, velocity_filter, limits, rates).eval()
         manifest = describe_policy(config, base, limits, recorded is not None, state["provenance"])
         manifest = {"name": name, **manifest, "policy": _write_onnx(step, env, folder), "figures": figures(run)}
         _write_scene(base, folder)
@@ -178,6 +179,7 @@ def _example(step: PolicyStep, env: Any) -> dict[str, torch.Tensor]:
         "history": first["history"],
         "dead_reckoning": step.rest.expand(_BATCH, -1),
         "last_action": parts["action"],
+        "last_command": first["command"],
     }
     return {name: given[name].clone() for name in INPUTS}
 

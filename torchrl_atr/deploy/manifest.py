@@ -11,7 +11,7 @@ from typing import Any
 
 from torchrl_atr._errors import UserError
 
-SCHEMA, VERSION = "torchrl_atr.policy_bundle", 1
+SCHEMA, VERSION = "torchrl_atr.policy_bundle", 2
 """Schema of a manifest, and its version; a change of names or meanings raises the latter."""
 MANIFEST, POLICY, WEIGHTS, EPISODE, SCENE, CARD = (
     "manifest.json",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -14,14 +15,16 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import Scene
 from torchrl_atr.envs.models.leg_kinematics import leg_kinematics
+from torchrl_atr.envs.physics.engine import CONTROL_DT
 from torchrl_atr.envs.tasks.dead_reckoning import KEY, METHODS
 from torchrl_atr.envs.tasks.proprioception import PROPRIO
 from torchrl_atr.envs.tasks.support_tilt import NAME, feet_tilt
+from torchrl_atr.envs.transforms.slew import slew
 from torchrl_atr.modules import CommandRange, NetworkKeys, ROANetworks
 
 SENSORS = tuple(name for name in PROPRIO if name != "action")
 """Sensor values that the policy reads, in the order of its inputs."""
-INPUTS = ("start", *SENSORS, "command", "history", "dead_reckoning", "last_action")
+INPUTS = ("start", *SENSORS, "command", "history", "dead_reckoning", "last_action", "last_command")
 
 
 class StepOutput(NamedTuple):
@@ -30,24 +33,32 @@ class StepOutput(NamedTuple):
     Attributes:
         action: joint displacement in units of the action scale.
         joint_targets: q0 + scale · action within the joints' control ranges, rad.
-        command_in_force: the command, clipped to the range.
+        command_in_range: the command that is asked for, clipped to the range.
+        command_in_force: what is followed: it approaches the command at a limited rate.
         latent, extrinsic: estimates of the intrinsics' latent and of the extrinsic state (SI units), (N, 0) of what the
             actor does not read.
         dead_reckoned_velocity: m/s.
-        next_history, next_dead_reckoning: state for the next step; ``action`` is the third part of it.
+        next_history, next_dead_reckoning, next_command: state for the next step; ``action`` is the fourth part of it.
     """
 
     action: Tensor
     joint_targets: Tensor
+    command_in_range: Tensor
     command_in_force: Tensor
     latent: Tensor
     extrinsic: Tensor
     dead_reckoned_velocity: Tensor
     next_history: Tensor
     next_dead_reckoning: Tensor
+    next_command: Tensor
 
 
-STATE = {"history": "next_history", "dead_reckoning": "next_dead_reckoning", "last_action": "action"}
+STATE = {
+    "history": "next_history",
+    "dead_reckoning": "next_dead_reckoning",
+    "last_action": "action",
+    "last_command": "next_command",
+}
 """Output that each part of the state is read from, by the input that it is the next step's value of."""
 
 
@@ -65,10 +76,10 @@ class _Sensed:
 
 
 class PolicyStep(nn.Module):
-    """Estimators and actor with normalisers, observation history, dead reckoning and command clipping around them.
+    """Estimators and actor with normalisers, observation history, dead reckoning and limits of the command around them.
 
     A row whose ``start`` is true begins an episode, whatever its state is: the robot stands at rest, its history is
-    filled with the first observation, and its last action is zero.
+    filled with the first observation, and its last action is zero; so is the first command, if its rate is limited.
 
     Args:
         networks: in eval mode.
@@ -76,6 +87,7 @@ class PolicyStep(nn.Module):
         scene: of its robot, for q0, action scale and control ranges.
         method: of the dead reckoning, a name of :data:`~torchrl_atr.envs.tasks.dead_reckoning.METHODS`.
         limits: range that commands are clipped to; None for no clipping.
+        slew_rates: largest change of the command per second; None for no limit.
 
     Raises:
         InputError: if the policy reads anything but sensors, command, history and dead reckoning.
@@ -85,9 +97,16 @@ class PolicyStep(nn.Module):
     q0: Tensor
     low: Tensor
     high: Tensor
+    slew: Tensor | None
 
     def __init__(
-        self, networks: ROANetworks, task: Any, scene: Scene, method: str, limits: CommandRange | None
+        self,
+        networks: ROANetworks,
+        task: Any,
+        scene: Scene,
+        method: str,
+        limits: CommandRange | None,
+        slew_rates: Sequence[float] | None = None,
     ) -> None:
         super().__init__()
         self.order = tuple(task.observations["proprio"])
@@ -103,12 +122,25 @@ class PolicyStep(nn.Module):
         self.legs = leg_kinematics(scene.robot) if NAME in self.order else None
         for name, value in {"q0": scene.robot.q0, **target_limits(scene), "rest": self._rest()}.items():
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32), persistent=False)
+        per_step = torch.tensor(slew_rates) * CONTROL_DT if slew_rates else None
+        self.register_buffer("slew", per_step, persistent=False)
 
     def _rest(self) -> Tensor:
         """Return the state of the dead reckoning of a robot at rest, (1, size)."""
         zero, one = torch.zeros(1, 3), torch.eye(3).unsqueeze(0)
         at_rest = SimpleNamespace(velocity=zero, euler=zero, rotation=one)
         return self.method.start(_Sensed({}, {}, self.interpretation, at_rest)).clone()
+
+    def _follow(self, asked: Tensor, start: Tensor, last: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the command in range, the one in force, and the one that the next step's approaches from."""
+        limits = self.limits or CommandRange(math.inf, math.inf)
+        in_range = limits(asked)
+        if self.slew is None:
+            return in_range, in_range, torch.where(start, 0.0, last)
+        # what approaches is bounded by the box alone: the lateral acceleration couples components, rates do not
+        box = CommandRange(limits.max_speed, limits.max_yaw_rate)(asked)
+        approached = torch.where(start, 0.0, slew(last, box, self.slew))
+        return in_range, limits(approached), approached
 
     def forward(
         self,
@@ -122,6 +154,7 @@ class PolicyStep(nn.Module):
         history: Tensor,
         dead_reckoning: Tensor,
         last_action: Tensor,
+        last_command: Tensor,
     ) -> StepOutput:
         """Compute one control step of N robots.
 
@@ -136,8 +169,9 @@ class PolicyStep(nn.Module):
             history: state, see :data:`STATE`, (N, H, D).
             dead_reckoning: state, (N, size).
             last_action: state, (N, 12).
+            last_command: state, (N, 2).
         """
-        command = command if self.limits is None else self.limits(command)
+        in_range, command, approached = self._follow(command, start, last_command)
         sensors = (acceleration, angular_velocity, orientation, joint_position, joint_velocity)
         proprio = dict(zip(SENSORS, sensors), action=torch.where(start, 0.0, last_action))
         if self.legs is not None:
@@ -157,7 +191,7 @@ class PolicyStep(nn.Module):
         read = {"history": shown, "latent": latent, "extrinsic": extrinsic}
         action = networks.backbone(observation, *(read[name] for name in networks.backbone.reads))
         targets = torch.clamp(self.q0 + self.scale * action, self.low, self.high)
-        return StepOutput(action, targets, command, latent, extrinsic, velocity, newest, reckoned)
+        return StepOutput(action, targets, in_range, command, latent, extrinsic, velocity, newest, reckoned, approached)
 
 
 def target_limits(scene: Scene) -> dict[str, list[float]]:

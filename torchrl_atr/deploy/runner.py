@@ -81,7 +81,7 @@ class PolicyRunner:
 
     Attributes:
         manifest: of the bundle.
-        command: that the last step followed, (2,); clipped.
+        command: that the last step followed, (2,): clipped, and approached at a limited rate.
         estimates: of the last step by name, SI units: the components of x_ext, and ``dead_reckoned_velocity``.
 
     Raises:
@@ -142,10 +142,10 @@ class PolicyRunner:
             self._clock.check(time)
         state, batch = self._policy.state, {name: value[None] for name, value in readings.items()}
         outputs = {name: value[0] for name, value in self._policy(np.array([self._start]), batch).items()}
-        asked, followed = readings["command"], outputs["command_in_force"]
-        if not np.allclose(asked, followed, atol=1e-6):
-            self._clipped(asked, followed, state)
-        self._start, self.command = False, followed
+        asked, in_range = readings["command"], outputs["command_in_range"]
+        if not np.allclose(asked, in_range, atol=1e-6):
+            self._clipped(asked, in_range, state)
+        self._start, self.command = False, outputs["command_in_force"]
         self.estimates = self._named(outputs)
         return JointCommand(outputs["joint_targets"], self._gains)
 

@@ -159,16 +159,17 @@ class ROANetworks(nn.Module):
         assign = AssignActSource(student_fraction, reference=self.keys.observation, student=self.keys.student)
         return self._actor(source, *self._encoders, *estimators, assign)
 
-    def deployed_policy(self) -> TensorDictModuleBase:
+    def deployed_policy(self, act_source: ActSourceName = "estimated") -> TensorDictModuleBase:
         """Return the policy for deployment: it reads history, observation and ``estimator_inputs``, nothing else.
 
-        With a :attr:`command_range` it clips commands to that.
+        With a :attr:`command_range` it clips commands to that. ``act_source="privileged"`` lets it act on the truth, to
+        tell errors of estimates from those of control.
 
         It shares the networks and their mode: call ``eval()`` on networks that were trained with dropout or batch
         statistics before they are deployed. Those of :func:`torchrl_atr.training.load_run` and
         ``Learner.deployed`` are in eval mode.
         """
-        policy = self.rollout_policy("estimated")
+        policy = self.rollout_policy(act_source)
         return policy if self.command_range is None else CommandClippedPolicy(policy, self.command_range, self.keys)
 
     def update_normalizers(self, tensordict: TensorDictBase) -> None:

@@ -45,6 +45,7 @@ TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
         "task.displaced_start": 0.0,
         "curriculum.max_speed": 0.0,
         "curriculum.max_yaw_rate": 0.0,
+        "curriculum.slew_rates": (),
         "curriculum.initial_speed": 0.0,
         "curriculum.initial_yaw_rate": 0.0,
         "exploration.init_std": 0.8,

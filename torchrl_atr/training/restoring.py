@@ -35,8 +35,8 @@ _NEEDED = (
 )
 """Entries of a checkpoint that every reader of a run needs."""
 
-_SINCE = {("ppo", "tracking_errors"): False, ("task", "observe_tilt"): False}
-"""Settings that change the networks and that older runs lack, with what those runs did."""
+_SINCE = {("ppo", "tracking_errors"): False, ("task", "observe_tilt"): False, ("curriculum", "slew_rates"): ()}
+"""Settings that older runs lack and that change what they did, with what that was."""
 
 
 def check_entries(state: Mapping[str, Any], run: Path) -> None:

@@ -1,0 +1,28 @@
+"""``torchrl-atr plot``: figures over runs, for papers."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from torchrl_atr._files import folder_for, say
+
+
+def add_plot(parser: argparse.ArgumentParser, path: Any) -> None:
+    """Add the options of ``plot`` to its parser; ``path`` is the type of a path."""
+    text = "folder of a run, or of a report of `evaluate`; runs of one label are seeds: a mean and a band"
+    parser.add_argument("runs", nargs="+", metavar="[LABEL=]RUN", help=text)
+    parser.add_argument("--output", type=path, required=True, metavar="DIR", help="where the figures go")
+    parser.add_argument("--format", choices=("pdf", "svg", "png"), default="pdf", help="default: pdf")
+    text = "columns of progress.csv; default: reward, episode length, falls, errors and command area"
+    parser.add_argument("--curves", nargs="+", metavar="COLUMN", help=text)
+
+
+def plot(arguments: argparse.Namespace) -> None:
+    """Run ``torchrl-atr plot``."""
+    from torchrl_atr.evaluation.set_figures import group_runs, plot_sets
+
+    sets = group_runs(arguments.runs)
+    with folder_for(arguments.output) as folder:
+        written = plot_sets(sets, folder, arguments.format, arguments.curves)
+    say("\n".join(str(file) for file in written))
