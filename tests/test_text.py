@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,9 @@ import pytest
 
 from torchrl_atr._text import number
 from torchrl_atr.cli import commands, main
+from torchrl_atr.cli.parser import build_parser
 from torchrl_atr.cli.printing import estimator_lines, replay_head, replay_line
+from torchrl_atr.cli.summary import next_commands
 from torchrl_atr.training import TrainConfig
 from torchrl_atr.training import progress as progress_module
 
@@ -47,7 +50,7 @@ def test_every_command_writes_in_any_encoding_and_utf8_to_files(tmp_path):
     run = tmp_path / "r ä🚀"
     assert {"metrics.json", "checkpoint.pt", "m.xml", "heatmaps.png"} <= {path.name for path in run.iterdir()}
     (run / "metrics.json").read_text(encoding="utf-8")
-    assert "torchrl-atr evaluate 'r ä🚀'\n".encode() in done.stdout
+    assert "torchrl-atr evaluate 'r ä🚀' ".encode() in done.stdout
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252", "utf-16"])
@@ -119,20 +122,34 @@ def test_training_ends_with_where_the_run_is_and_what_comes_next(tmp_path, capsy
     monkeypatch.chdir(tmp_path)
     tiny = ["--num-envs", "2", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
     assert main(["train", *tiny, "--total-frames", "16", "--output", "my run"]) == 0
-    last = capsys.readouterr().out.splitlines()[-2:]
-    assert re.match(r"finished after 16 robot steps in \d\.\d minutes; the run is in 'my run'", last[0])
-    assert last[1] == "measure it with: torchrl-atr evaluate 'my run'"
+    lines = capsys.readouterr().out.splitlines()
+    ended = next(i for i, line in enumerate(lines) if line.startswith("finished"))
+    assert re.match(r"finished after 16 robot steps in \d\.\d minutes; the run is in 'my run'", lines[ended])
+    assert re.match(r"last 2 iterations, exploring: .* m/s and .* rad/s off the command", lines[ended + 1])
+    assert re.search(r"steps a second: \d+% of the time to collect, \d+% to learn, \d+% for logs", lines[ended + 2])
+    assert lines[ended + 4].split("#")[0].strip() == "torchrl-atr evaluate 'my run'"
+    for line in lines[ended + 4 :]:  # every command exists
+        build_parser().parse_args(shlex.split(line, comments=True)[1:])
 
 
 def test_training_that_is_stopped_says_how_to_go_on(capsys):
     learner = SimpleNamespace(networks=None)
-    trainer = SimpleNamespace(train=lambda: 15, run=Path("runs/x"), frames=1000, seconds=90.0, learner=learner)
+    counters = {"frames": 1000, "seconds": 90.0, "config": TrainConfig()}
+    trainer = SimpleNamespace(train=lambda: 15, run=Path("runs/x"), learner=learner, **counters)
     assert commands._train(trainer) == 143
-    assert capsys.readouterr().out.splitlines() == [
+    assert capsys.readouterr().out.splitlines()[:3] == [
         "stopped after 1,000 robot steps in 1.5 minutes; the run is in runs/x",
         "go on with: torchrl-atr train --resume runs/x",
-        "measure it with: torchrl-atr evaluate runs/x",
+        "next:",
     ]
+
+
+def test_what_comes_next_fits_the_policy():
+    teacher, walker = next_commands(Path("runs/x"), teacher=True), next_commands(Path("runs/x"), riding=False)
+    assert teacher[1].split("#")[0].strip() == "torchrl-atr evaluate runs/x --act-source privileged"
+    for lines in (teacher, walker):
+        assert not any(" export " in line for line in lines)
+    assert " export " in next_commands(Path("runs/x"))[-1]
 
 
 def test_every_extrinsic_state_has_a_name_and_a_unit():

@@ -21,6 +21,7 @@ from torchrl_atr.cli.navigate import navigate
 from torchrl_atr.cli.plot import plot
 from torchrl_atr.cli.printing import replay_head, replay_line, step_progress
 from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
+from torchrl_atr.cli.summary import next_commands, run_figures
 from torchrl_atr.cli.view import demo, view
 from torchrl_atr.deploy.manifest import is_bundle
 from torchrl_atr.listings import LISTINGS, settings_page
@@ -89,14 +90,15 @@ def _resume(arguments: TrainArguments) -> int:
 
 
 def _train(trainer: Trainer) -> int:
-    """Train, and print where the run is and what to do with it."""
+    """Train, and print where the run is, what it came to and what to do with it."""
     signal = trainer.train()
     run, amount = shlex.quote(str(trainer.run)), f"{trainer.frames:,} robot steps in {trainer.seconds / 60:.1f} minutes"
     say(f"{'finished' if signal is None else 'stopped'} after {amount}; the run is in {run}")
     if signal is not None:
         say(f"go on with: torchrl-atr train --resume {run}")
     teacher = getattr(trainer.learner.networks, "is_teacher", False)
-    say(f"measure it with: torchrl-atr evaluate {run}{' --act-source privileged' if teacher else ''}")
+    riding = trainer.config.task.name == "riding"
+    say("\n".join([*run_figures(trainer.run / "progress.csv"), *next_commands(trainer.run, teacher, riding)]))
     return 0 if signal is None else 128 + signal
 
 
