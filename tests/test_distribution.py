@@ -1,4 +1,4 @@
-"""The wheel and the source distribution that users install: complete, small, and working from where they are unpacked."""
+"""The wheel and the source distribution that users install: complete, small, and working where they are unpacked."""
 
 from __future__ import annotations
 

@@ -130,12 +130,13 @@ def _settings(kind: Any, prefix: str = "") -> dict[str, Setting]:
 
 @functools.cache
 def _texts(kind: type) -> dict[str, str]:
-    """Return the texts below the fields of a class, by name; empty if its source is not available."""
+    """Return the texts below the fields of a class and its bases, by name; none where a source is not available."""
+    inherited = {name: text for base in kind.__bases__ if base is not object for name, text in _texts(base).items()}
     try:
         tree = ast.parse(textwrap.dedent(inspect.getsource(kind)))
     except (OSError, SyntaxError):
-        return {}
-    found, body = {}, tree.body[0].body  # type: ignore[attr-defined]
+        return inherited
+    found, body = inherited, tree.body[0].body  # type: ignore[attr-defined]
     for node, below in itertools.pairwise(body):
         if isinstance(node, ast.AnnAssign) and isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
             found[ast.unparse(node.target)] = " ".join(str(below.value.value).split())

@@ -31,7 +31,8 @@ from torchrl_atr.envs.transforms import (
 from torchrl_atr.modules import make_networks
 from torchrl_atr.training import make_config
 from torchrl_atr.training.config import ConfigError, TrainConfig
-from torchrl_atr.training.settings import ComputeConfig, EnvConfig, PPOConfig
+from torchrl_atr.training.env_settings import EnvConfig
+from torchrl_atr.training.learning_settings import ComputeConfig, PPOConfig
 
 TRAINING = {
     "stagger": 5,

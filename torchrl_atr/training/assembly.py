@@ -37,7 +37,7 @@ from torchrl_atr.modules.sizes import estimator_specs
 from torchrl_atr.objectives import DistillationLoss, ROAClipPPOLoss
 from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.env_access import attribute
-from torchrl_atr.training.settings import ExplorationConfig
+from torchrl_atr.training.learning_settings import ExplorationConfig
 
 TIME_LIMIT_CHECK_INTERVAL = 10
 """Interval in control steps at which time limits are checked, a divisor of the default recipe's 1000."""

@@ -23,8 +23,15 @@ from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS, Task, make_task
 from torchrl_atr.envs.tasks.overrides import override
 from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.training import settings as groups
+from torchrl_atr.training.env_settings import CurriculumConfig, EnvConfig, TaskConfig
 from torchrl_atr.training.estimator_settings import EstimatorConfig
+from torchrl_atr.training.learning_settings import (
+    ComputeConfig,
+    ExplorationConfig,
+    LoggingConfig,
+    PPOConfig,
+    ROAConfig,
+)
 
 
 @dataclass(frozen=True)
@@ -39,7 +46,7 @@ class TrainConfig(Settings):
         UnknownNameError: for an unknown task, robot or transporter.
 
     Example:
-        >>> TrainConfig(ppo=groups.PPOConfig(gamma=0.9)).ppo.gamma
+        >>> TrainConfig(ppo=PPOConfig(gamma=0.9)).ppo.gamma
         0.9
     """
 
@@ -47,21 +54,21 @@ class TrainConfig(Settings):
     """A registered preset, whose settings replace the defaults: `list presets`."""
     seed: int = setting(0, within=(0, 2**31 - 1), alias="seed")
     """Seed of everything."""
-    total_frames: int = setting(28_000_000, within=(1, 1e15), alias="total-frames")
+    total_frames: int = setting(8_500_000, within=(1, 1e15), alias="total-frames", paper=28_000_000)
     """Robot steps after which training ends, those of earlier sessions of the run included."""
     max_minutes: float = setting(0.0, within=(0, 1e9), unit="minutes", alias="max-minutes")
     """Wall-clock time after which training ends, whichever comes first; 0 for no limit."""
     imports: tuple[str, ...] = setting(())
     """Modules imported first, so that they can register tasks, estimators, robots and transporters."""
-    env: groups.EnvConfig = field(default_factory=groups.EnvConfig)
-    task: groups.TaskConfig = field(default_factory=groups.TaskConfig)
-    curriculum: groups.CurriculumConfig = field(default_factory=groups.CurriculumConfig)
-    exploration: groups.ExplorationConfig = field(default_factory=groups.ExplorationConfig)
-    ppo: groups.PPOConfig = field(default_factory=groups.PPOConfig)
-    roa: groups.ROAConfig = field(default_factory=groups.ROAConfig)
+    env: EnvConfig = field(default_factory=EnvConfig)
+    task: TaskConfig = field(default_factory=TaskConfig)
+    curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
+    exploration: ExplorationConfig = field(default_factory=ExplorationConfig)
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    roa: ROAConfig = field(default_factory=ROAConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
-    compute: groups.ComputeConfig = field(default_factory=groups.ComputeConfig)
-    logging: groups.LoggingConfig = field(default_factory=groups.LoggingConfig)
+    compute: ComputeConfig = field(default_factory=ComputeConfig)
+    logging: LoggingConfig = field(default_factory=LoggingConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()

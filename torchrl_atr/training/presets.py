@@ -43,6 +43,7 @@ TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
         "task.sensors": "ideal",
         "task.moving_start": 0.0,
         "task.displaced_start": 0.0,
+        "task.pushes.interval": 3.0,
         "curriculum.max_speed": 0.0,
         "curriculum.max_yaw_rate": 0.0,
         "curriculum.slew_rates": (),

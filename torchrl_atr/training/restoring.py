@@ -35,7 +35,14 @@ _NEEDED = (
 )
 """Entries of a checkpoint that every reader of a run needs."""
 
-_SINCE = {("ppo", "tracking_errors"): False, ("task", "observe_tilt"): False, ("curriculum", "slew_rates"): ()}
+_SINCE = {
+    ("ppo", "tracking_errors"): False,
+    ("task", "observe_tilt"): False,
+    ("curriculum", "slew_rates"): (),
+    ("task", "stance"): (),
+    ("task", "steadiness"): 0.0,
+    ("task", "fall_weight"): 1.0,
+}
 """Settings that older runs lack and that change what they did, with what that was."""
 
 

@@ -76,8 +76,26 @@ def test_a_disturbance_that_cannot_be_called_is_refused_where_it_is_written():
         Disturbance(3, 1.0)
 
 
-@pytest.mark.parametrize("arguments", [{"steering_weight_peak": "x"}, {"steering_weight_peak_at": 0.0}])
-def test_an_impossible_steering_weight_is_named(arguments):
+def test_steadiness_and_the_weight_of_a_fall_are_the_learners_alone():
+    task = riding(steadiness=0.5, fall_weight=7.0)
+    assert task.rewards == riding().rewards
+    assert {name: factor(0.3) for name, factor in task.reward_schedule.items()} == {
+        "height_maintenance": 5.5,
+        "body_orientation": 3.0,
+        "body_velocity": 250.5,
+        "postural_deviation": 10.5,
+        "termination": 7.0,
+    }
+    assert not riding().reward_schedule
+    few = {name: riding().rewards[name] for name in ("forward_command", "steering_command", "body_orientation")}
+    assert set(riding(rewards=few, steadiness=1.0).reward_schedule) == {"body_orientation"}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{"steering_weight_peak": "x"}, {"steering_weight_peak_at": 0.0}, {"steadiness": -1.0}, {"fall_weight": "x"}],
+)
+def test_an_impossible_weight_of_the_learner_is_named(arguments):
     with pytest.raises(InputError, match=next(iter(arguments))):
         riding(**arguments)
 

@@ -25,7 +25,7 @@ from torchrl_atr.envs.tasks.riding.drive_law import DriveHook
 from torchrl_atr.envs.tasks.riding.intrinsics import riding_intrinsics
 from torchrl_atr.envs.tasks.riding.observations import observations
 from torchrl_atr.envs.tasks.riding.resets import TERMINATIONS, push, start
-from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS
+from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS, STEADY
 from torchrl_atr.envs.tasks.riding.state import RidingStateExtractor
 from torchrl_atr.envs.tasks.sensors import SensorSet, with_sensors
 from torchrl_atr.envs.tasks.support_tilt import NAME, support_tilt
@@ -61,6 +61,7 @@ def riding(
     steering_weight_peak: float = 1.0,
     steering_weight_end: float = 1.0,
     steering_weight_peak_at: float = 1.0,
+    steadiness: float = 0.0,
     fall_weight: float = 1.0,
 ) -> Task:
     """Return the riding task: a robot on a transporter follows a forward speed and a yaw rate.
@@ -78,7 +79,7 @@ def riding(
         pushes: whether robot and transporter are pushed, every 3 s, or the sizes and interval.
         gains: nominal PD gains, see :data:`~torchrl_atr.envs.tasks.parameters.Gains`; None for the robot's own.
         stance: how much wider, longer and lower the robot stands than in its own q0, as shares of its standing height
-            (:func:`~torchrl_atr.envs.models.leg_kinematics.with_stance`); None for its own.
+            (:func:`~torchrl_atr.envs.models.leg_kinematics.with_stance`); None or empty for its own.
         moving_start: share of the episodes whose transporter starts at part of the commanded speeds (for training).
         displaced_start: share of the episodes whose robot starts shifted and turned on the boards, as after a minute of
             pushes (for training).
@@ -88,6 +89,8 @@ def riding(
             speeds are tracked, it may have a larger weight.
         steering_weight_end: the factor that it falls to from there until training ends, so that fewer robots fall.
         steering_weight_peak_at: share of the training, in (0, 1].
+        steadiness: how much larger the weights of the body's pose and motion are in the learner's reward: 0 leaves
+            them, 1 multiplies them by :data:`~torchrl_atr.envs.tasks.riding.rewards.STEADY`.
         fall_weight: factor of r17, early termination, in the learner's reward.
 
     Raises:
@@ -107,6 +110,9 @@ def riding(
     shares = _checked_stance(stance)
     rider = with_stance(with_gains(get_robot(robot), gains), *shares)
     spec = get_transporter(transporter, rider)
+    more = check_number("steadiness", steadiness, 0.0)
+    factors = {name: 1.0 + more * (factor - 1.0) for name, factor in STEADY.items() if name in rewards}
+    factors["termination"] = check_number("fall_weight", fall_weight, 0.0)
     tilt = {NAME: support_tilt(rider)} if check_flag("observe_tilt", observe_tilt) else {}
     return Task(
         name="riding",
@@ -126,7 +132,7 @@ def riding(
         interpretation=interpretation,
         reward_schedule={
             **_steering_schedule(steering_weight_peak, steering_weight_end, steering_weight_peak_at),
-            **_constant("termination", check_number("fall_weight", fall_weight, 0.0)),
+            **{term: partial(np.interp, xp=(0.0, 1.0), fp=(f, f)) for term, f in factors.items() if f != 1.0},
         },
         arguments={
             "robot": describe_robot(robot),
@@ -138,9 +144,9 @@ def riding(
 
 
 def _checked_stance(stance: Sequence[float] | None) -> tuple[float, float, float]:
-    shares = (0.0, 0.0, 0.0) if stance is None else tuple(check_number("stance", share, -0.5, 0.5) for share in stance)
+    shares = tuple(check_number("stance", share, -0.5, 0.5) for share in stance or (0.0, 0.0, 0.0))
     if len(shares) != 3:
-        raise InputError(f"stance={stance!r} has {len(shares)} numbers; give three: wider, longer, lower")
+        raise InputError(f"stance={stance!r} has {len(shares)} numbers; give three (wider, longer, lower), or none")
     return shares
 
 
@@ -150,7 +156,3 @@ def _steering_schedule(peak: float, end: float, peak_at: float) -> dict[str, Cal
     if peak == end == 1.0:
         return {}
     return {"steering_command": partial(np.interp, xp=(0.0, peak_at, 1.0), fp=(1.0, peak, end))}
-
-
-def _constant(term: str, weight: float) -> dict[str, Callable[[float], float]]:
-    return {} if weight == 1.0 else {term: partial(np.interp, xp=(0.0, 1.0), fp=(weight, weight))}

@@ -192,3 +192,8 @@ RIDING_REWARDS: Mapping[str, RewardTerm] = MappingProxyType(
     }
 )
 """Table III by name: k0 ... k19, the minus of r2 and r3 that is missing in print included (A8)."""
+
+STEADY: Mapping[str, float] = MappingProxyType(
+    {"height_maintenance": 10.0, "body_orientation": 5.0, "body_velocity": 500.0, "postural_deviation": 20.0}
+)
+"""Factors of r7, r9, r10 and r13 with which a robot learns to ride without swaying and to keep its feet below it."""
