@@ -160,10 +160,10 @@ def test_a_spoilt_bundle_is_refused_by_commands(copied, capsys):
 
 
 def test_other_versions_and_schemas_are_refused(rewritten):
-    with pytest.raises(BundleError, match=r"version 2; this code reads version 1: use the torchrl_atr that wrote it"):
-        read_manifest(rewritten(lambda manifest: manifest.update(version=2)))
+    with pytest.raises(BundleError, match=r"version 3; this code reads version 2: use the torchrl_atr that wrote it"):
+        read_manifest(rewritten(lambda manifest: manifest.update(version=3)))
     with pytest.raises(BundleError, match="schema 'mine', not"):
-        read_manifest(rewritten(lambda manifest: manifest.update(schema="mine", version=1)))
+        read_manifest(rewritten(lambda manifest: manifest.update(schema="mine", version=2)))
 
 
 def test_another_policy_is_found_by_verify(copied):

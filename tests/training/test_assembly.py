@@ -35,7 +35,8 @@ def test_a_deployed_policy_starts_at_the_beginning_and_takes_any_command():
     env = make_env(CONFIG, num_envs=2, **DEPLOYMENT_OVERRIDES)
     env.curriculum.pin(torch.tensor([15.0, -2.0]))
     start = env.reset()
-    assert start["command"].tolist() == [[15.0, -2.0]] * 2
+    assert env.curriculum.command.tolist() == [[15.0, -2.0]] * 2
+    assert not start["command"].any()  # which approaches it
     assert not start["step_count"].any()
 
 

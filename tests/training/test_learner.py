@@ -54,6 +54,8 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay(final, last)
             "env.num_envs": 4,
             "task.steering_weight_peak": 5,
             "task.steering_weight_end": final,
+            "task.steadiness": 0.0,
+            "task.fall_weight": 1.0,
             "exploration.anneal_until": 0.8,
         }
     )

@@ -23,10 +23,13 @@ def body_speed(session):
     return engine.qvel[session.followed, dof : dof + 2].clone().numpy()
 
 
-def test_a_command_is_in_force_from_the_next_step_and_clipped_to_the_grid(session):
+def test_a_command_is_approached_from_the_next_step_and_clipped_to_the_grid(session):
     session.steer(0.8, -0.4)
     session.step()
-    assert session.step().command == pytest.approx([0.8, -0.4])
+    assert session.step().command == pytest.approx([0.06, -0.03])  # 3 m/s² and 1.5 rad/s²
+    for _ in range(13):
+        reading = session.step()
+    assert reading.command == pytest.approx([0.8, -0.4])
     session.steer(1e3, -1e3)
     bounds = session.env.curriculum.grid.bounds
     assert session.command == pytest.approx((bounds[0], -bounds[1]))

@@ -106,8 +106,8 @@ class Session:
         >>> Trainer(make_config(tiny), run).save()
         >>> session = Session(Setup(run))
         >>> session.steer(0.5, 0.1)
-        >>> [session.step().command.round(3).tolist() for _ in range(2)]  # observed after a step, it is in force
-        [[0.0, 0.0], [0.5, 0.1]]
+        >>> [session.step().command.round(3).tolist() for _ in range(3)]  # approached after a step
+        [[0.0, 0.0], [0.06, 0.03], [0.12, 0.06]]
     """
 
     setup: Setup

@@ -48,7 +48,9 @@ def test_a_stance_beyond_the_legs_is_named():
 
 
 def test_a_stance_of_two_numbers_is_refused():
-    with pytest.raises(InputError, match=r"stance=\(0.1, 0.1\) has 2 numbers; give three: wider, longer, lower"):
+    with pytest.raises(
+        InputError, match=r"stance=\(0.1, 0.1\) has 2 numbers; give three \(wider, longer, lower\), or none"
+    ):
         riding("a1", stance=(0.1, 0.1))
 
 

@@ -111,7 +111,7 @@ def riding(
     rider = with_stance(with_gains(get_robot(robot), gains), *shares)
     spec = get_transporter(transporter, rider)
     more = check_number("steadiness", steadiness, 0.0)
-    factors = {name: 1.0 + more * (factor - 1.0) for name, factor in STEADY.items() if name in rewards}
+    factors = {name: 1.0 + more * (factor - 1.0) for name, factor in STEADY.items() if name in (rewards or ())}
     factors["termination"] = check_number("fall_weight", fall_weight, 0.0)
     tilt = {NAME: support_tilt(rider)} if check_flag("observe_tilt", observe_tilt) else {}
     return Task(
