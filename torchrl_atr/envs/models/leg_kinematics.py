@@ -71,6 +71,7 @@ def leg_kinematics(robot: RobotSpec) -> LegKinematics:
     return LegKinematics(robot)
 
 
+@cache
 def with_stance(robot: RobotSpec, wider: float, longer: float, lower: float) -> RobotSpec:
     """Return a robot that stands with its feet further apart and its trunk lower: another q0 and h_des.
 
