@@ -56,17 +56,17 @@ def test_an_unpacked_wheel_works_without_the_clone(dist, tmp_path):
     (wheel,) = dist.glob("*.whl")
     with zipfile.ZipFile(wheel) as file:
         file.extractall(tmp_path / "site")
+    code = f"""
+import torchrl_atr
+from torchrl_atr.cli import main
+print(torchrl_atr.__file__)
+assert main(["list", "robots"]) == main(["model", "a1", "single_board", "--output", {str(tmp_path / "a1.xml")!r}]) == 0
+"""
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
-
-    def run(*words: str) -> str:
-        done = subprocess.run([sys.executable, "-P", *words], cwd=tmp_path, env=environment, capture_output=True)
-        assert done.returncode == 0, done.stderr.decode()
-        return done.stdout.decode()
-
-    assert run("-c", "import torchrl_atr; print(torchrl_atr.__file__)").startswith(str(tmp_path / "site"))
-    robots = run("-m", "torchrl_atr.cli", "list", "robots")
+    done = subprocess.run([sys.executable, "-P", "-c", code], cwd=tmp_path, env=environment, capture_output=True)
+    assert done.returncode == 0, done.stderr.decode()
+    told = done.stdout.decode()
+    assert told.startswith(str(tmp_path / "site"))
     for robot in ("a1", "go1", "anymal_c", "spot"):
-        assert robot in robots
-    model = str(tmp_path / "a1.xml")
-    run("-m", "torchrl_atr.cli", "model", "a1", "single_board", "--output", model)
-    assert Path(model).is_file()
+        assert robot in told
+    assert (tmp_path / "a1.xml").is_file()
