@@ -38,7 +38,7 @@ def test_learning_curves_plot_what_there_is(tmp_path):
     csv = tmp_path / "progress.csv"
     csv.write_text("frames,episode_length,speed_error,unknown\n1000,10,1.0,x\n2000,20,,x\n3000,30,0.5,x\n")
     assert _colours(run_figures.plot_learning_curves(csv, tmp_path / "curves.png")) > 3
-    columns = run_figures._read_columns(csv)
+    columns = run_figures.read_columns(csv)
     assert columns["episode_length"].tolist() == [10, 20, 30]
     assert np.isnan(columns["speed_error"][1])
 

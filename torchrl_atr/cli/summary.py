@@ -13,12 +13,12 @@ from torchrl_atr._text import number
 _LATE = 100
 """Iterations at the end of a run that the figures are means of."""
 _FIGURES = {
-    "falls_per_minute": "falls a robot and minute",
-    "speed_error": "m/s and",
-    "yaw_error": "rad/s off the command",
-    "episode_length": "control steps an episode",
+    "{} falls a robot and minute": ("falls_per_minute",),
+    "{} m/s and {} rad/s off the command": ("speed_error", "yaw_error"),
+    "{} control steps an episode": ("episode_length",),
 }
-"""Columns of ``progress.csv``, and the words after their values."""
+"""Columns of ``progress.csv`` by the phrase that their means are put into; one that a log lacks leaves it out."""
+_COLUMNS = tuple(column for columns in _FIGURES.values() for column in columns)
 
 
 def run_figures(progress_csv: Path) -> Iterator[str]:
@@ -30,11 +30,11 @@ def run_figures(progress_csv: Path) -> Iterator[str]:
     seconds = 60.0 * rows[-1].get("minutes", 0.0) if rows else 0.0
     if not seconds:
         return
-    late = {name: [row[name] for row in rows[-_LATE:] if name in row] for name in _FIGURES}
-    shown = [f"{number(fmean(values), 8, 3).strip()} {_FIGURES[name]}" for name, values in late.items() if values]
+    late = {name: [row[name] for row in rows[-_LATE:] if name in row] for name in _COLUMNS}
+    means = {name: number(fmean(values), 8, 3).strip() for name, values in late.items() if values}
+    shown = [phrase.format(*map(means.get, names)) for phrase, names in _FIGURES.items() if means.keys() >= {*names}]
     if shown:
-        text = ", ".join(shown).replace("m/s and, ", "m/s and ")
-        yield f"last {min(_LATE, len(rows))} iterations, exploring: {text}"
+        yield f"last {min(_LATE, len(rows))} iterations, exploring: {', '.join(shown)}"
     spent = {name: sum(row.get(f"{name}_seconds", 0.0) for row in rows) for name in ("collect", "learn")}
     share = {name: min(1.0, value / seconds) for name, value in spent.items()}
     rest = max(0.0, 1.0 - sum(share.values()))
@@ -69,6 +69,6 @@ def _rows(path: Path) -> list[dict[str, float]]:
     """Return what the lines need of each row of a log, as numbers; cells that are empty are left out."""
     if not path.is_file():
         return []
-    wanted = (*_FIGURES, "frames", "minutes", "collect_seconds", "learn_seconds")
+    wanted = (*_COLUMNS, "frames", "minutes", "collect_seconds", "learn_seconds")
     with path.open(newline="", encoding="utf-8") as file:
         return [{name: float(row[name]) for name in wanted if row.get(name)} for row in csv.DictReader(file)]

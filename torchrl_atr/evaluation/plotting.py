@@ -38,8 +38,8 @@ STYLE: Any = {
 }
 GREY = "0.4"
 # Okabe and Ito's colours, safe for colour-blind eyes
-COLOURS = {"speed": "#0072B2", "yaw": "#D55E00", "combined": "#009E73"}
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+COLOURS = dict(zip(("speed", "yaw", "combined"), PALETTE))
 DASHES: dict[str, Any] = {"speed": "-", "yaw": (0, (5, 2)), "combined": (0, (1.2, 1.2))}
 SHARES = "cividis"
 """Colour map of shares and weights."""

@@ -51,7 +51,7 @@ def plot_learning_curves(progress_csv: str | Path, path: str | Path, curves: Map
     Raises:
         InputError: if the file has none of these columns, or no rows.
     """
-    columns = _read_columns(Path(progress_csv))
+    columns = read_columns(Path(progress_csv))
     known = LEARNING_CURVES if curves is None else curves
     labels = {name: label for name, label in known.items() if name in columns}
     if not labels or not len(columns[next(iter(labels))]):
@@ -103,7 +103,7 @@ def plot_runs(runs: Mapping[str, Mapping[str, str | Path]], path: str | Path) ->
     Raises:
         ValueError: if there is no run, or one without rows.
     """
-    curves = {group: {label: _read_columns(Path(f)) for label, f in lines.items()} for group, lines in runs.items()}
+    curves = {group: {label: read_columns(Path(f)) for label, f in lines.items()} for group, lines in runs.items()}
     empty = [f"{group}, {label}" for group, lines in curves.items() for label, columns in lines.items() if not columns]
     if empty or not curves:
         raise ValueError(f"no rows in the progress of {'; '.join(empty)}" if empty else "no runs to plot")
@@ -129,7 +129,12 @@ def plot_runs(runs: Mapping[str, Mapping[str, str | Path]], path: str | Path) ->
 
 def _noisy_line(axis: Axes, x: Array, y: Array, colour: str, style: str) -> None:
     axis.plot(x, y, color=colour, lw=0.6, alpha=0.25, zorder=1)
-    axis.plot(x, pd.Series(y).rolling(15, min_periods=1).mean(), color=colour, ls=DASHES[style], lw=1.6)
+    axis.plot(x, rolling_mean(y), color=colour, ls=DASHES[style], lw=1.6)
+
+
+def rolling_mean(values: Array) -> Array:
+    """Return the mean over each value and the 14 before it, fewer at the start, (n,)."""
+    return pd.Series(values).rolling(15, min_periods=1).mean().to_numpy()
 
 
 def plot_curriculum(weights: Any, bounds: tuple[float, float], path: str | Path) -> Path:
@@ -150,7 +155,7 @@ def plot_curriculum(weights: Any, bounds: tuple[float, float], path: str | Path)
         return save(figure, path)
 
 
-def _read_columns(path: Path) -> dict[str, Array]:
+def read_columns(path: Path) -> dict[str, Array]:
     """Read the columns of a CSV file as numbers; empty and invalid cells are NaN."""
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

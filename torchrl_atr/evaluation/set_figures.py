@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,19 +17,18 @@ from matplotlib.figure import Figure
 from torchrl_atr._errors import InputError
 from torchrl_atr._registry import nearest
 from torchrl_atr.evaluation.figures import plot_heatmaps
-from torchrl_atr.evaluation.plotting import PALETTE, STYLE, Array, save
+from torchrl_atr.evaluation.plotting import DASHES, PALETTE, STYLE, Array, save
 from torchrl_atr.evaluation.report import load_tracking
-from torchrl_atr.evaluation.run_figures import LEARNING_CURVES
+from torchrl_atr.evaluation.run_figures import LEARNING_CURVES, read_columns, rolling_mean
 
 RunSets = Mapping[str, Sequence[Path]]
 """Runs, or folders of evaluations, by the label of their line: several of one label are seeds of the same thing."""
-FORMATS = ("pdf", "svg", "png")
 CURVES = ("reward", "episode_length", "falls_per_minute", "student_speed_error", "yaw_error", "command_area")
 """Columns of ``progress.csv`` that are drawn by default."""
 _PAPER: Any = {**STYLE, "pdf.fonttype": 42, "svg.fonttype": "none"}  # text stays text
-_POINTS, _MEMORY = 200, 15
-"""Points of a learning curve, and iterations of its rolling mean."""
-_DASHES: Any = ("-", (0, (5, 2)), (0, (1.2, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
+_POINTS = 200
+"""Points of a learning curve."""
+_DASHES: Any = (*DASHES.values(), (0, (5, 1.5, 1.2, 1.5)))
 _AREAS = {"speed": "speed", "yaw": "yaw rate", "combined": "both"}
 
 
@@ -75,55 +73,51 @@ def plot_sets(
         InputError: if a folder holds nothing that is plotted, or ``curves`` names what is no column of its.
     """
     folder = Path(folder)
-    held = [_holding(sets, name) for name in ("progress", "endurance", "tracking")]
-    for path in (path for paths in sets.values() for path in paths):
-        if not any(path in paths for found in held for paths in found.values()):
-            raise InputError(
-                f"{path} has neither progress.csv nor metrics.json of an evaluation; give the folder of a run, or of "
-                "the report of `torchrl-atr evaluate`"
-            )
+    held = {label: [_held(path) for path in paths] for label, paths in sets.items()}
+    logs, endurance, tracking = (_having(held, part) for part in ("progress", "endurance", "tracking"))
     plots: dict[str, Callable[[], Figure]] = {
-        "learning_curves": lambda: _learning_curves(held[0], curves),
-        "endurance": lambda: _endurance(held[1]),
-        "command_area": lambda: _command_areas(held[2]),
+        **({"learning_curves": lambda: _learning_curves(logs, curves)} if logs else {}),
+        **({"endurance": lambda: _endurance(endurance)} if endurance else {}),
+        **({"command_area": lambda: _command_areas(tracking)} if tracking else {}),
     }
-    written = []
     with plt.rc_context(_PAPER):
-        for (name, plot), found in zip(plots.items(), held):
-            if found:
-                written.append(save(plot(), folder / f"{name}.{suffix}"))
-        for label, paths in held[2].items():
-            if (trials := _report(paths[0], "tracking").with_name("tracking.npz")).is_file():
-                name = re.sub(r"[^\w.-]+", "-", label)
-                written.append(plot_heatmaps(load_tracking(trials), folder / f"heatmaps-{name}.{suffix}"))
+        written = [save(plot(), folder / f"{name}.{suffix}") for name, plot in plots.items()]
+        for label, trials in _having(held, "trials").items():
+            name = re.sub(r"[^\w.-]+", "-", label)
+            written.append(plot_heatmaps(load_tracking(trials[0]), folder / f"heatmaps-{name}.{suffix}"))
     return written
 
 
-def _holding(sets: RunSets, what: str) -> dict[str, list[Path]]:
-    """Return the folders of each set that hold a log or a report; sets without any are left out."""
+def _held(path: Path) -> dict[str, Any]:
+    """Return what a folder holds: columns of its ``progress``, metrics by protocol, and the file of the ``trials``.
 
-    def holds(path: Path) -> bool:
-        return (path / "progress.csv").is_file() if what == "progress" else _report(path, what).is_file()
+    Reports are in the folder itself or in subfolders with the names of the protocols.
+    """
+    held: dict[str, Any] = {}
+    if (log := path / "progress.csv").is_file() and (columns := read_columns(log)):  # none without rows
+        held["progress"] = columns
+    for protocol in ("endurance", "tracking"):
+        for file in (path / protocol / "metrics.json", path / "metrics.json"):  # the folder's own has precedence
+            if file.is_file() and (metrics := json.loads(file.read_text(encoding="utf-8"))).get("protocol") == protocol:
+                held[protocol] = metrics
+                if protocol == "tracking" and (trials := file.with_name("tracking.npz")).is_file():
+                    held["trials"] = trials
+    if not held:
+        raise InputError(
+            f"{path} has neither progress.csv nor metrics.json of an evaluation; give the folder of a run, or of "
+            "the report of `torchrl-atr evaluate`"
+        )
+    return held
 
-    found = {label: [path for path in paths if holds(path)] for label, paths in sets.items()}
-    return {label: paths for label, paths in found.items() if paths}
+
+def _having(held: Mapping[str, Sequence[Mapping[str, Any]]], part: str) -> dict[str, list[Any]]:
+    """Return a part of what the folders of each set hold; sets without any are left out."""
+    found = {label: [each[part] for each in folders if part in each] for label, folders in held.items()}
+    return {label: parts for label, parts in found.items() if parts}
 
 
-def _report(path: Path, protocol: str) -> Path:
-    """Return the ``metrics.json`` of a protocol in a folder, or in the subfolder of its name; a path in any case."""
-    for file in (path / "metrics.json", path / protocol / "metrics.json"):
-        if file.is_file() and json.loads(file.read_text(encoding="utf-8")).get("protocol") == protocol:
-            return file
-    return path / protocol / "none"
-
-
-def _metrics(paths: Sequence[Path], protocol: str) -> list[dict[str, Any]]:
-    return [json.loads(_report(path, protocol).read_text(encoding="utf-8")) for path in paths]
-
-
-def _learning_curves(sets: RunSets, chosen: Sequence[str] | None) -> Figure:
-    logs = {label: [pd.read_csv(path / "progress.csv") for path in paths] for label, paths in sets.items()}
-    known = {column for tables in logs.values() for table in tables for column in table.columns}
+def _learning_curves(logs: Mapping[str, Sequence[Mapping[str, Array]]], chosen: Sequence[str] | None) -> Figure:
+    known = {column for tables in logs.values() for table in tables for column in table}
     curves = [name for name in CURVES if name in known] if chosen is None else chosen
     for name in curves:
         if name not in known:
@@ -131,27 +125,24 @@ def _learning_curves(sets: RunSets, chosen: Sequence[str] | None) -> Figure:
     figure, axes = _panels(len(curves))
     for axis, name in zip(axes, curves):
         for (label, tables), style in zip(logs.items(), _styles()):
-            shown = [table for table in tables if name in table and len(table)]
+            shown = [table for table in tables if name in table]
             if shown:
-                x = np.linspace(0.0, min(table["frames"].iloc[-1] for table in shown), _POINTS)
-                _band(axis, x / 1e6, [_line(table, name, x) for table in shown], label, style)
+                x = np.linspace(0.0, min(table["frames"][-1] for table in shown), _POINTS)
+                lines = [np.interp(x, table["frames"], rolling_mean(table[name])) for table in shown]
+                _band(axis, x / 1e6, lines, label, style)
         axis.set(title=LEARNING_CURVES.get(name, name.replace("_", " ")), xlabel="robot steps [million]")
     return _finished(figure, axes)
 
 
-def _line(table: pd.DataFrame, name: str, x: Array) -> Array:
-    """Return the rolling mean of a column at frames ``x``."""
-    mean = table[name].astype(float).rolling(_MEMORY, min_periods=1).mean()
-    return np.interp(x, table["frames"].astype(float), mean)
-
-
-def _endurance(sets: RunSets) -> Figure:
+def _endurance(sets: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     figure, axes = _panels(3)
-    for (label, paths), style in zip(sets.items(), _styles()):
-        reports = _metrics(paths, "endurance")
+    for (label, reports), style in zip(sets.items(), _styles()):
         _reported(axes[0], [report["survival_over_time"] for report in reports], "share", label, style)
         for axis, name in zip(axes[1:], ("speed", "yaw")):
-            times = [{"seconds": each["seconds"], **each[name]} for each in _of(reports, "errors_over_time")]
+            times = [
+                {"seconds": each["seconds"], **each[name]}
+                for each in (report["errors_over_time"] for report in reports)
+            ]
             _reported(axis, times, "mean", label, style)
     for axis, title in zip(axes, ("robots up [share]", "speed error [m/s]", "yaw rate error [rad/s]")):
         axis.set(title=title, xlabel="time [s]")
@@ -167,20 +158,16 @@ def _reported(axis: Axes, curves: Sequence[Mapping[str, Any]], value: str, label
     _band(axis, x, lines, label, style, ends)
 
 
-def _command_areas(sets: RunSets) -> Figure:
+def _command_areas(sets: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     figure, axes = _panels(3)
-    for (label, paths), style in zip(sets.items(), _styles()):
-        areas = _of(_metrics(paths, "tracking"), "command_area")
+    for (label, reports), style in zip(sets.items(), _styles()):
+        areas = [report["command_area"] for report in reports]
         for axis, name in zip(axes, _AREAS):
             lines = [np.array(area["settled"][name], dtype=np.float64) for area in areas]
             _band(axis, np.array(areas[0]["epsilon"], dtype=np.float64), lines, label, style)
     for axis, title in zip(axes, _AREAS.values()):
         axis.set(title=f"settled {title}: trials within ε [share]", xlabel="ε [m/s, rad/s]", ylim=(0.0, 1.02))
     return _finished(figure, axes)
-
-
-def _of(reports: Sequence[Mapping[str, Any]], name: str) -> list[Any]:
-    return [report[name] for report in reports]
 
 
 def _styles() -> Any:

@@ -1,4 +1,4 @@
-"""Commands that approach their target at a limited rate: closed form, starts, partial resets, workers."""
+"""Commands that approach their target at a limited rate: closed form, starts, partial resets."""
 
 from __future__ import annotations
 
