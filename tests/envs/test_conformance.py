@@ -1,4 +1,4 @@
-"""Every task of the package, for every robot (on every transporter), on both engines, held to one standard."""
+"""Every task of the package, for every robot (on every transporter), held to one standard; one robot on dm_control."""
 
 from __future__ import annotations
 
@@ -20,27 +20,26 @@ OURS = [name for name in TASKS.names() if TASKS.get(name).__module__.startswith(
 """Tests of other files register tasks of their own."""
 PARTS = {"robot": ROBOTS.names(), "transporter": tuple(TRANSPORTER_DESIGNS)}
 STEPS = 500
+ON_DM_CONTROL = "a1"
+"""Of other robots dm_control steps the same model as the batch engine: test_engine.py compares them."""
 
 
-def cases() -> list[tuple[str, dict[str, str]]]:
-    """Tasks with every combination of the robots and transporters that they take."""
+def cases() -> list[tuple[str, dict[str, str], str]]:
+    """Tasks with every combination of the robots and transporters that they take, and an engine."""
     found = []
     for name in OURS:
         taken = [part for part in PARTS if part in inspect.signature(TASKS.get(name)).parameters]
         for values in itertools.product(*(PARTS[part] for part in taken)):
-            found.append((name, dict(zip(taken, values, strict=True))))
+            parts = dict(zip(taken, values, strict=True))
+            engines = ["batch"] + ["dm_control"] * (ON_DM_CONTROL in values)
+            found += [(name, parts, engine) for engine in engines]
     return found
 
 
-@pytest.fixture(scope="module", params=cases(), ids=lambda case: "-".join([case[0], *case[1].values()]))
-def case(request):
-    return request.param
-
-
-@pytest.fixture(scope="module", params=["batch", "dm_control"])
-def make(case, request):
-    """``make(seed)``: an env of the case; one robot on dm_control, three on the batch engine."""
-    (name, parts), physics = case, request.param
+@pytest.fixture(scope="module", params=cases(), ids=lambda case: "-".join([case[0], *case[1].values(), case[2]]))
+def make(request):
+    """``make(seed)``: an env of a case; one robot on dm_control, three on the batch engine."""
+    name, parts, physics = request.param
     if physics == "dm_control":
         pytest.importorskip("dm_control")
 
