@@ -27,6 +27,7 @@ extensions = [
 ]
 exclude_patterns = ["_build"]
 templates_path = ["_templates"]
+smartquotes = False  # quotation marks stay as they are written
 
 html_theme = "pydata_sphinx_theme"
 html_title = "torchrl_atr"

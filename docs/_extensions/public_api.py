@@ -18,14 +18,15 @@ from sphinx.application import Sphinx
 _PAGE = Path(__file__).parents[1] / "api.md"
 PACKAGES = re.findall(r"^   (torchrl_atr[\w.]*)$", _PAGE.read_text(encoding="utf-8"), re.MULTILINE)
 _LITERAL_OR_MARK = re.compile(r"(``.*?``|:\w+:`.*?`)|(\||(?<=[( ])\*(?=\w))")
-_LINK = re.compile(r"(!?\[[^\[\]]*\]\()((?:\.\./)+[\w/.-]+?)/?\)")
+_LINK = re.compile(r"(!?\[[^\[\]]*\]\()((?:\.\./)+[\w/.-]+?)/?(?:#[\w-]+)?\)")
 
 
 def public_names() -> dict[str, dict[str, list[Any]]]:
     """Return what the page of each package holds: its ``listed`` names, its ``members`` and its ``data``.
 
-    ``listed`` are classes and functions, by their full names if another page describes them; ``members`` those that
-    this page describes, each with its directive; ``data`` other values with their descriptions.
+    ``listed`` are classes and functions, each with the full name of its description and its first line (autosummary's
+    own table would load each once more); ``members`` those that this page describes, each with its directive; ``data``
+    other values with their descriptions.
     """
     homes: dict[tuple[str, int], str] = {}
     pages = {}
@@ -37,7 +38,7 @@ def public_names() -> dict[str, dict[str, list[Any]]]:
             known = (name, id(thing)) in homes
             home = homes.setdefault((name, id(thing)), package)
             if inspect.isclass(thing) or inspect.isroutine(thing):
-                page["listed"].append(f"~{home}.{name}" if known else name)
+                page["listed"].append((f"{home}.{name}", *_escaped([(inspect.getdoc(thing) or "").partition("\n")[0]])))
                 if not known:
                     page["members"].append((_directive(thing), name))
             elif not known and not name.startswith("_"):
@@ -93,30 +94,23 @@ def _link_out_of_docs(app: Sphinx, name: str, source: list[str]) -> None:
 
 def _find_by_defining_module(app: Sphinx, env: Any, node: Any, content: Any) -> Any:
     """Resolve a reference such as ``torchrl_atr.envs.tasks.task.Task`` to the page that describes the name."""
-    target = node.get("reftarget", "")
-    module, _, name = target.rpartition(".")
-    if node.get("refdomain") != "py" or not module.startswith("torchrl_atr"):
+    name = app.config.autosummary_context["defined"].get(node.get("reftarget"))
+    if name is None or node.get("refdomain") != "py":
         return None
-    wanted = _value(module, name)
-    for package, page in app.config.autosummary_context["pages"].items():
-        for _, public in page["members"]:
-            if wanted is not None and getattr(importlib.import_module(package), public) is wanted:
-                domain = env.get_domain("py")
-                name = f"{package}.{public}"
-                return domain.resolve_xref(env, node["refdoc"], app.builder, "obj", name, node, content)
-    return None
+    return env.get_domain("py").resolve_xref(env, node["refdoc"], app.builder, "obj", name, node, content)
 
 
-def _value(module: str, name: str) -> Any:
-    try:
-        return getattr(importlib.import_module(module), name, None)
-    except ImportError:
-        return None
+def _by_definition(pages: dict[str, dict[str, list[Any]]]) -> dict[str, str]:
+    """Return the full names under which classes and functions are described, by those of their definitions."""
+    names = [(package, name) for package, page in pages.items() for _, name in page["members"]]
+    things = [getattr(importlib.import_module(package), name) for package, name in names]
+    return {f"{thing.__module__}.{thing.__qualname__}": ".".join(name) for thing, name in zip(things, names)}
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Connect the extension."""
-    app.config.autosummary_context = {"pages": public_names()}
+    pages = public_names()
+    app.config.autosummary_context = {"pages": pages, "defined": _by_definition(pages)}
     app.connect("autodoc-process-docstring", _escape, priority=900)
     app.connect("source-read", _link_out_of_docs)
     app.connect("missing-reference", _find_by_defining_module)
