@@ -8,6 +8,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE / "_extensions"), str(HERE.parent)]
+os.environ["PYTHONPATH"] = os.pathsep.join([str(HERE.parent), os.environ.get("PYTHONPATH", "")])  # of the notebooks
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the notebooks: their batches are small
 
 import torchrl_atr  # noqa: E402
@@ -38,7 +39,7 @@ myst_heading_anchors = 3
 nb_execution_mode = "force"  # when a notebook or its page is read anew
 nb_execution_raise_on_error = True
 nb_execution_timeout = 300
-nb_merge_streams = True
+nb_output_stderr = "remove"  # hints of libraries about widgets; an exception still fails the build
 
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"

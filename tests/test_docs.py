@@ -18,8 +18,10 @@ import pytest
 
 import torchrl_atr
 from torchrl_atr._errors import MissingPackageError
+from torchrl_atr._settings import settings
 from torchrl_atr.cli.parser import build_parser
 from torchrl_atr.cli.train_options import parse_train
+from torchrl_atr.training import TrainConfig
 
 ROOT = Path(__file__).parents[1]
 DOCS = sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)
@@ -125,6 +127,13 @@ def test_commands_in_the_text_exist():
                     parse_train(words)
             else:
                 assert {word for word in words if word.startswith("--")} <= options, (page, span)
+
+
+def test_settings_in_the_text_exist():
+    known = set(settings(TrainConfig))
+    named = re.compile(r"`((?:ppo|roa|estimator|exploration|compute|logging)\.[a-z_]+)(?:=[^`]*)?`")
+    for page in PAGES:
+        assert {*named.findall(page.read_text(encoding="utf-8"))} <= known, page
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "CHANGELOG.md"], ids=name_of)
