@@ -10,7 +10,14 @@ import pytest
 
 from torchrl_atr.envs import RidingEnv, make_riding_env
 from torchrl_atr.envs.tasks import RIDING_REWARDS, riding, walking
-from torchrl_atr.evaluation import command_grid, figures, load_tracking, save_tracking, tracking_metrics
+from torchrl_atr.evaluation import (
+    command_grid,
+    envelope_figure,
+    figures,
+    load_tracking,
+    save_tracking,
+    tracking_metrics,
+)
 from torchrl_atr.evaluation.envelope import Envelope, envelope_of
 from torchrl_atr.evaluation.metrics import envelope_curve
 
@@ -117,3 +124,18 @@ def test_figures_show_it(evaluate, tmp_path, monkeypatch):
     np.testing.assert_allclose(black[0].get_ydata(), envelope_curve(dataclasses.replace(bounded, envelope=PRINTED)))
     for figure in drawn:
         figures.plt.close(figure)
+
+
+def test_its_own_figure_bounds_turns_by_friction_and_by_the_reward(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(envelope_figure, "save", lambda figure, path: drawn.append(figure) or path)
+    envelope_figure.plot_envelope(PRINTED, tmp_path / "envelope.png", max_speed=15.0, max_yaw_rate=2.0)
+    _, friction, reward = (c for c in drawn[0].axes[0].collections if type(c).__name__ == "QuadContourSet")
+    for bound, largest in ((friction, PRINTED.friction_yaw_rate), (reward, PRINTED.best_yaw_rate)):
+        v, w = np.abs(np.concatenate([path.vertices for path in bound.get_paths()])).T
+        inner = (v < 14.5) & (w < 1.9) & (v > 0.1)
+        assert inner.any()
+        within, beyond = w[inner] - 0.05, w[inner] + 0.05
+        assert all(largest([a], [b])[0, 0] == pytest.approx(b) for a, b in zip(v[inner], within))
+        assert all(largest([a], [b])[0, 0] < b for a, b in zip(v[inner], beyond))
+    envelope_figure.plt.close(drawn[0])

@@ -102,6 +102,7 @@ def open_questions() -> dict[str, Setting]:
 
 
 PROFILES: Registry[Interpretation] = Registry("profile")
+"""Answers to the paper's open questions, by the name of the preset that takes them."""
 for _name in ("default", "paper", "literal", "legged_gym"):
     PROFILES.register(
         _name, Interpretation(**{field: each.value_in(_name) for field, each in open_questions().items()})

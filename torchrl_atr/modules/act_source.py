@@ -13,8 +13,11 @@ from torch import Tensor
 from torchrl_atr.modules.keys import NetworkKeys
 
 ActSourceName = Literal["privileged", "estimated", "mixed"]
+"""Name of what the actor reads: the truth, its estimates, or either by robot."""
 ACT_SOURCES: tuple[str, ...] = get_args(ActSourceName)
+"""All of :data:`ActSourceName`."""
 ActorInput = Literal["history", "latent", "extrinsic"]
+"""Name of an input that an actor may read beside the observation."""
 ACTOR_INPUTS: tuple[ActorInput, ...] = get_args(ActorInput)
 """Inputs that an actor may read beside the observation, in the order in which it reads it."""
 _KEYS = NetworkKeys()

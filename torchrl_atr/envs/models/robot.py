@@ -122,6 +122,7 @@ def _check_feet(robot: RobotSpec) -> None:
 
 
 ROBOTS: Registry[RobotSpec] = Registry("robot", hint="or a .toml file that describes one")
+"""Robots by name."""
 
 
 def register_robot(name: str, spec: RobotSpec) -> RobotSpec:

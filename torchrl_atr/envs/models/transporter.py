@@ -212,7 +212,9 @@ class TransporterSpec:
 
 
 TRANSPORTERS: Registry[TransporterSpec] = Registry("transporter", hint="or a .toml file that describes one")
+"""Transporters by name."""
 TRANSPORTER_DESIGNS: Registry[TransporterDesign] = Registry("design")
+"""Designs by the name that a TOML file gives."""
 _SIZES = {"G1": ((0.9, 0.7, 0.05), 11.5, 1.0), "G2": ((1.5, 1.1, 0.05), 30.0, 5.0)}
 for _kind, _design in {"single_board": SINGLE_BOARD, "two_board": TWO_BOARD}.items():
     TRANSPORTER_DESIGNS.register(_kind, _design)

@@ -11,6 +11,7 @@ from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.physics.hook import SubstepHook
 
 EngineName = Literal["batch", "dm_control"]
+"""Name of an engine: N robots on all CPUs, or one robot, the reference."""
 
 
 def make_engine(

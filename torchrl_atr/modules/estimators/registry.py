@@ -14,6 +14,7 @@ from torchrl_atr._registry import Registry
 from torchrl_atr.modules.estimators.spec import EstimatorSpec
 
 EstimatorFactory = Callable[..., nn.Module]
+"""Factory of an estimator, in either form of :func:`register_estimator`."""
 _ESTIMATORS: Registry[EstimatorFactory] = Registry(
     "estimator", hint="add yours with register_estimator(name, factory) in a module that is imported first"
 )

@@ -12,7 +12,9 @@ from torchrl_atr._checks import check_choice, check_kind
 from torchrl_atr.modules.keys import NetworkKeys
 
 Role = Literal["intrinsic", "extrinsic", "both"]
+"""Role of an estimator: the latent of hidden parameters, hidden states, or both."""
 ROLES: tuple[str, ...] = get_args(Role)
+"""All of :data:`Role`."""
 
 
 @dataclass(frozen=True)
