@@ -79,7 +79,7 @@ def test_a_file_that_is_missing_is_refused(source, words):
 def test_commands_beyond_a_range_are_named():
     ride, limits = [(0.0, 1.0, 1.0), (3.0, 2.0, 1.0)], CommandRange(2.0, 1.0, max_lateral_acceleration=1.5)
     check_commands(ride[:1], limits)
-    with pytest.raises(InputError, match=r"the command at 3 s, 2 m/s and 1 rad/s.*up to 1.5 m/s²; choose a smaller one"):
+    with pytest.raises(InputError, match=r"at 3 s, 2 m/s and 1 rad/s.*up to 1.5 m/s²; choose a smaller one"):
         check_commands(ride, limits)
     with pytest.raises(InputError, match=r"at 0 s, -1 m/s.*speed in \[0, 2\]"):
         check_commands([(0.0, -1.0, 0.0)], CommandRange(2.0, 1.0), forward_only=True)

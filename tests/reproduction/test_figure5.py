@@ -10,7 +10,7 @@ import pytest
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.evaluation.energy import Energy
-from torchrl_atr.navigation import TripsResult
+from torchrl_atr.navigation import Path, TripsResult
 from torchrl_atr.navigation.report import load_trips, save_trips
 from torchrl_atr.reproduction import figure5 as module
 from torchrl_atr.reproduction.figure5 import Method, figure5
@@ -54,7 +54,9 @@ def test_trips_are_written_and_read_back(tmp_path):
     assert after.traces[1].shape == (2, 3)
 
 
-def test_the_report_of_a_policy_that_falls(job, tmp_path):
+def test_the_report_of_a_policy_that_falls(job, tmp_path, monkeypatch):
+    straight = Path.through(np.linspace([5.0, 5.0], [30.0, 30.0], 4))
+    monkeypatch.setattr(module, "plan_all", lambda starts, *_, **__: [straight] * len(starts))
     (tmp_path / "yard.toml").write_text(YARD)
     page = figure5(job, tmp_path, maps=[str(tmp_path / "yard.toml")], starts=1).read_text()
     assert "No walking policy was given" in page

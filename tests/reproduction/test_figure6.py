@@ -52,17 +52,11 @@ def test_the_report_has_a_figure_and_arrays_for_each_pair(job, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["reproduce figure6 --policies RUN --output OUT", "play RUN"])
-def test_a_wrong_file_or_a_command_out_of_range_is_refused_before_the_simulation(
-    untrained_run, tmp_path, capsys, monkeypatch, command
-):
+def test_a_command_out_of_range_is_refused_before_the_simulation(untrained_run, tmp_path, capsys, monkeypatch, command):
     monkeypatch.setattr(module, "evaluate_sequence", None)
     words = [{"RUN": str(untrained_run), "OUT": str(tmp_path / "out")}.get(word, word) for word in command.split()]
     file = tmp_path / "ride.csv"
-    for text, message in (
-        ("time,speed,yaw_rate\n0,9,0\n", "is beyond the policy's range: speed in [-2.2, 2.2] m/s"),
-        ("time,speed\n0,9\n", "no column yaw_rate"),
-    ):
-        file.write_text(text)
-        assert main([*words, "--commands", str(file)]) == 2
-        assert message in capsys.readouterr().err
+    file.write_text("time,speed,yaw_rate\n0,9,0\n")
+    assert main([*words, "--commands", str(file)]) == 2
+    assert "is beyond the policy's range: speed in [-2.2, 2.2] m/s" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [file]

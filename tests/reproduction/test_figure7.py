@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from torchrl_atr._interrupt import Stopped
 from torchrl_atr._registry import UnknownNameError
+from torchrl_atr.evaluation import TrackingResult
 from torchrl_atr.reproduction import figure7 as module
 from torchrl_atr.reproduction.figure7 import VARIANTS, Sizes, figure7
 from torchrl_atr.reproduction.tracking import Grid
@@ -32,26 +34,45 @@ def test_every_ablation_is_a_valid_recipe_that_differs_where_it_says(name):
         }
 
 
-def test_runs_are_trained_once_stopped_ones_go_on_and_all_are_measured(job, tmp_path, monkeypatch):
+def test_a_training_that_was_stopped_goes_on_and_is_measured(job, tmp_path, monkeypatch):
     trained, train = [], Trainer.train
 
-    def stop_the_second(self):
-        trained.append(self.run.parent.name)
-        return 15 if len(trained) == 2 else train(self)
+    def stop_the_first(self):
+        trained.append(self.run)
+        self.save()
+        return 15 if len(trained) == 1 else train(self)
 
-    monkeypatch.setattr(Trainer, "train", stop_the_second)
-    chosen = {"variants": ["no extrinsic", "full"], "seeds": 1, "frames": 4, "settings": TINY, "grid": GRID}
+    monkeypatch.setattr(Trainer, "train", stop_the_first)
+    chosen = {"variants": ["no extrinsic"], "seeds": 1, "frames": 4, "settings": TINY, "grid": GRID}
     job = replace(job, policies=[])
     with pytest.raises(Stopped):
         figure7(job, tmp_path, **chosen)
-    figure7(job, tmp_path, **chosen)
     page = figure7(job, tmp_path, **chosen).read_text()
-    assert [name.rpartition("-")[0] for name in trained] == ["train-full-0", *["train-no_extrinsic-0"] * 2]
+    assert len(trained) == 2
+    assert trained[0] == trained[1]
+    assert job.parts.holds(trained[0].parent)
     assert "| no extrinsic | " in page
     values = json.loads((tmp_path / "figure7.json").read_text())
     assert values["frames"] == 4
     assert values["variants"]["no extrinsic"]["settings"]["roa.actor_reads"] == ["latent"]
-    assert values["claims"][0]["verdict"] == "cannot be told"  # of one seed
+
+
+def test_claims_compare_with_the_full_method_over_seeds():
+    def covering(share):
+        fall = np.full((1, 1, 10), np.nan)
+        fall[..., round(10 * share) :] = 1.0
+        zero, axis = np.zeros_like(fall), np.zeros(1)
+        return TrackingResult(axis, axis, *[zero] * 6, fall, 10.0, 5.0)
+
+    results = {
+        "full": [0.8, 0.9, 0.9],
+        "no symmetry": [0.4, 0.5, 0.4],
+        "no curriculum": [0.9, 0.8, 0.9],
+        "no ROA": [0.5],
+    }
+    claims = module._claims({name: [covering(share) for share in shares] for name, shares in results.items()})
+    assert [claim.verdict for claim in claims] == ["holds", "cannot be told", "cannot be told"]
+    assert claims[0].value == pytest.approx(13 / 30)
 
 
 def test_an_unknown_variant_is_refused(job, tmp_path):

@@ -59,8 +59,9 @@ def figure4(job: Job, folder: Path, compatibility: bool = False, grid: Grid | No
     text = (
         f"Root mean square errors over {first.seconds:g} s from rest, intrinsics of the test range, sensors of the "
         f"training, {first.fall_time[..., 0].size:,} commands. Errors of trials that fell count up to the fall; such a "
-        f"trial is in no command area. Area: share of the trials within √(e_v² + e_ω²) ≤ {THRESHOLD:g}. Commands are "
-        "clipped where a policy has a range. The paper prints this figure without numbers."
+        f"trial is in no command area. Area: share of the trials within √(e_v² + e_ω²) ≤ {THRESHOLD:g}. Mastered: "
+        "share of the commands at which most robots settle within 0.5 m/s and 0.3 rad/s; envelope: share of those that "
+        "can be followed at all. Commands are clipped where a policy has a range. The paper prints no number."
     )
     sections = [text, _table(figures), "![errors](heatmaps.png)", "![command areas](command_area.png)"]
     missing = missing_pairs(results, PAIRS)
@@ -79,7 +80,8 @@ def figure4(job: Job, folder: Path, compatibility: bool = False, grid: Grid | No
 
 
 def _table(figures: Mapping[str, dict[str, Any]]) -> str:
-    head = ["pair", "trials", "up", "speed error, m/s", "yaw rate error, rad/s", "area", "still board's", "envelope"]
+    head = ["pair", "trials", "up", "speed error, m/s", "yaw rate error, rad/s", "area", "still board's"]
+    head += ["mastered", "envelope"]
     rows = [
         [
             name,
@@ -89,6 +91,7 @@ def _table(figures: Mapping[str, dict[str, Any]]) -> str:
                 for key in ("survival", "rms_speed_error", "rms_yaw_error", "area")
             ),
             with_interval(each["still_area"]),
+            with_interval(each["mastered"]),
             "" if each["envelope"] is None else with_interval(each["envelope"]),
         ]
         for name, each in figures.items()

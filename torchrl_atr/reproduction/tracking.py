@@ -9,8 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.evaluation import TrackingResult, command_grid, evaluate_tracking, load_tracking, save_tracking
+from torchrl_atr.evaluation import (
+    TrackingResult,
+    command_grid,
+    evaluate_tracking,
+    load_tracking,
+    mastered_range,
+    save_tracking,
+)
 from torchrl_atr.evaluation.intervals import mean_interval, wilson
+from torchrl_atr.evaluation.metrics import mastered_commands
 from torchrl_atr.reproduction.policies import RiderPolicy
 from torchrl_atr.reproduction.report import Job
 
@@ -103,7 +111,9 @@ def tracking_figures(result: TrackingResult) -> dict[str, Any]:
     Returns:
         Values and their ``NAME_interval``: ``survival``; ``rms_speed_error`` (m/s) and ``rms_yaw_error`` (rad/s), up to
         a fall; ``area``, the share of trials within :data:`THRESHOLD`; ``still_area``, that of a board that never
-        moves; ``envelope``, the share of commands that can be followed at all; ``n``.
+        moves; ``mastered``, the share of commands at which most robots stay up and settle within 0.5 m/s and 0.3 rad/s,
+        and ``mastered_range``, the largest range in which 95 % are; ``envelope``, the share that can be followed at
+        all; ``n``.
     """
     n, up, area = result.fall_time.size, int(result.survived.sum()), int(within(result).sum())
     figures: dict[str, Any] = {
@@ -113,6 +123,8 @@ def tracking_figures(result: TrackingResult) -> dict[str, Any]:
         "area": area / n,
         "area_interval": list(wilson(area, n)),
         "still_area": float((still_error(result) <= THRESHOLD).mean()),
+        "mastered": float(mastered_commands(result).mean()),
+        "mastered_range": None if (limits := mastered_range(result)) is None else vars(limits),
         "envelope": None,
     }
     for name in ("rms_speed_error", "rms_yaw_error"):
