@@ -54,9 +54,10 @@ def test_trips_are_written_and_read_back(tmp_path):
     assert after.traces[1].shape == (2, 3)
 
 
-def test_the_report_of_a_policy_that_falls(job, tmp_path, monkeypatch):
-    straight = Path.through(np.linspace([5.0, 5.0], [30.0, 30.0], 4))
+def test_the_report_of_a_policy_that_does_not_arrive(job, tmp_path, monkeypatch):
+    straight = Path.through(np.linspace([5.0, 5.0], [8.0, 5.0], 4))
     monkeypatch.setattr(module, "plan_all", lambda starts, *_, **__: [straight] * len(starts))
+    monkeypatch.setattr("torchrl_atr.navigation.trips.PATIENCE", 0.05)
     (tmp_path / "yard.toml").write_text(YARD)
     page = figure5(job, tmp_path, maps=[str(tmp_path / "yard.toml")], starts=1).read_text()
     assert "No walking policy was given" in page

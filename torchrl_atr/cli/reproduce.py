@@ -15,9 +15,11 @@ from torchrl_atr.cli.printing import step_progress
 if TYPE_CHECKING:
     from torchrl_atr.reproduction.policies import RiderPolicy
     from torchrl_atr.reproduction.report import Job
+    from torchrl_atr.reproduction.tracking import Grid
 
 ROOT = Path("results/paper")
 ALL, SUMMARY = "all", "summary"
+_SPACE = ("max_speed", "max_yaw_rate")
 
 
 class Figure(NamedTuple):
@@ -28,17 +30,25 @@ class Figure(NamedTuple):
     needs_policies: bool = True
 
 
+def _grid(job: Job, options: dict[str, Any]) -> Grid:
+    """Return the grid of commands that is asked for, and take its options out of ``options``."""
+    from torchrl_atr.reproduction.tracking import grid_of
+
+    return grid_of(job, *(options.pop(name, None) for name in _SPACE))
+
+
 def _figure4(job: Job, folder: Path, **options: Any) -> Path:
     from torchrl_atr.reproduction.figure4 import figure4
 
-    return figure4(job, folder, **options)
+    return figure4(job, folder, grid=_grid(job, options), **options)
 
 
-def _table5(job: Job, folder: Path, history_only: Sequence[str] = ()) -> Path:
+def _table5(job: Job, folder: Path, history_only: Sequence[str] = (), **options: Any) -> Path:
     from torchrl_atr.reproduction.policies import load_policies
     from torchrl_atr.reproduction.table5 import table5
 
-    return table5(job, folder, load_policies(history_only, job.imports, "--history-only"))
+    policies = load_policies(history_only, job.imports, "--history-only")
+    return table5(job, folder, policies, _grid(job, options))
 
 
 def _figure6(job: Job, folder: Path, **options: Any) -> Path:
@@ -63,15 +73,16 @@ def _figure7(job: Job, folder: Path, config: Path | None = None, **options: Any)
     from torchrl_atr.reproduction.figure7 import figure7
     from torchrl_atr.training import read_config
 
-    return figure7(job, folder, settings=None if config is None else read_config(config), **options)
+    settings = None if config is None else read_config(config)
+    return figure7(job, folder, settings=settings, grid=_grid(job, options), **options)
 
 
 FIGURES = {
-    "figure4": Figure(_figure4, ("compatibility",)),
-    "table5": Figure(_table5, ("history_only",)),
+    "figure4": Figure(_figure4, ("compatibility", *_SPACE)),
+    "table5": Figure(_table5, ("history_only", *_SPACE)),
     "figure6": Figure(_figure6, ("commands",)),
     "figure5": Figure(_figure5, ("walking", "maps", "starts")),
-    "figure7": Figure(_figure7, ("variants", "frames", "seeds", "config"), needs_policies=False),
+    "figure7": Figure(_figure7, ("variants", "frames", "seeds", "config", *_SPACE), needs_policies=False),
 }
 """What can be made, in the order of ``all``."""
 
@@ -92,6 +103,10 @@ def add_reproduce(parser: argparse.ArgumentParser, number_in: Any, seed: Any, pa
     parser.add_argument("--output", type=path, metavar="DIR", help=text)
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--quick", action="store_true", help="coarse sizes, minutes: shows that everything works")
+    own = parser.add_argument_group("figure4, table5, figure7")
+    text = "of another command space, m/s; default: the paper's 15"
+    own.add_argument("--max-speed", type=number_in(float, 0.1, 100), help=text)
+    own.add_argument("--max-yaw-rate", type=number_in(float, 0.1, 100), help="likewise, rad/s; default: 2")
     own = parser.add_argument_group("figure4")
     text = "let each policy ride with the other robot of its group, too"
     own.add_argument("--compatibility", action="store_const", const=True, help=text)
@@ -155,10 +170,11 @@ def _policies(arguments: argparse.Namespace, chosen: Sequence[str]) -> list[Ride
 
 def _check_options(arguments: argparse.Namespace, chosen: list[str]) -> None:
     allowed = {option for name in chosen for option in FIGURES[name].options}
-    for name, figure in FIGURES.items():
+    for figure in FIGURES.values():
         for option in figure.options:
             if option not in allowed and getattr(arguments, option) is not None:
-                raise UserError(f"--{option.replace('_', '-')}: only of {name}; leave it out")
+                owners = [each for each, other in FIGURES.items() if option in other.options]
+                raise UserError(f"--{option.replace('_', '-')}: only of {' and '.join(owners)}; leave it out")
 
 
 def _words(arguments: argparse.Namespace) -> Iterator[str]:

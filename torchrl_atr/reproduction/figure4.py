@@ -18,6 +18,7 @@ from torchrl_atr.reproduction.tracking import (
     EPSILONS,
     THRESHOLD,
     Grid,
+    box_of,
     combined_error,
     measure,
     still_error,
@@ -58,10 +59,11 @@ def figure4(job: Job, folder: Path, compatibility: bool = False, grid: Grid | No
     first = next(iter(results.values()))
     text = (
         f"Root mean square errors over {first.seconds:g} s from rest, intrinsics of the test range, sensors of the "
-        f"training, {first.fall_time[..., 0].size:,} commands. Errors of trials that fell count up to the fall; such a "
-        f"trial is in no command area. Area: share of the trials within √(e_v² + e_ω²) ≤ {THRESHOLD:g}. Mastered: "
-        "share of the commands at which most robots settle within 0.5 m/s and 0.3 rad/s; envelope: share of those that "
-        "can be followed at all. Commands are clipped where a policy has a range. The paper prints no number."
+        f"training, {first.fall_time[..., 0].size:,} commands within {box_of(first)}. Errors of trials that fell count "
+        "up to the fall; such a trial is in no command area. Area: share of the trials within √(e_v² + e_ω²) ≤ "
+        f"{THRESHOLD:g}. Mastered: share of the commands at which most robots settle within 0.5 m/s and 0.3 rad/s; "
+        "envelope: share of those that can be followed at all. Commands are clipped where a policy has a range. The "
+        "paper prints no number."
     )
     sections = [text, _table(figures), "![errors](heatmaps.png)", "![command areas](command_area.png)"]
     missing = missing_pairs(results, PAIRS)

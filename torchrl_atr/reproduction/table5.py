@@ -24,7 +24,7 @@ from torchrl_atr.reproduction.report import (
     with_interval,
     write_report,
 )
-from torchrl_atr.reproduction.tracking import Grid, measure
+from torchrl_atr.reproduction.tracking import Grid, box_of, measure
 
 SENSORS = ("ideal", "realistic")
 LATENT = "latent"
@@ -49,19 +49,22 @@ def table5(job: Job, folder: Path, history_only: Sequence[RiderPolicy] = (), gri
             read = ", ".join(map(str, policy.networks.estimator_inputs))
             raise InputError(f"--history-only {policy.folder}: its estimator also reads {read}; leave it out")
     rows: dict[str, dict[str, Any]] = {}
+    box = ""
     for kind, policies in (("shipped", job.policies), ("history only", history_only)):
         for policy in policies:
             for sensors in SENSORS:
-                errors = measure(job, policy, grid, sensors).estimators
-                if errors is not None:
-                    rows.setdefault(policy.name, {})[f"{kind}, {sensors}"] = component_errors(errors)
+                result = measure(job, policy, grid, sensors)
+                box = box_of(result)
+                if result.estimators is not None:
+                    rows.setdefault(policy.name, {})[f"{kind}, {sensors}"] = component_errors(result.estimators)
     if not rows:
         raise InputError("no policy estimates the extrinsic state, such as those whose actors read the history alone")
     _plot(rows, folder / "table5.png")
     text = (
-        "Means ± standard deviations of |estimate - truth| over all steps of the tracking evaluation (test range), of "
-        "the latent ‖ẑ - z‖; brackets are intervals of the mean over robots. The paper does not say which pairs its "
-        "row is of, nor with which sensors; the scale of the latent is learned, so its errors do not compare."
+        "Means ± standard deviations of |estimate - truth|, of the latent ‖ẑ - z‖, over all steps of the tracking "
+        f"evaluation ({box}, test range) before a fall; brackets are intervals of the mean over robots. The paper does "
+        "not say which pairs its row is of, nor with which sensors; the scale of the latent is learned, so its errors "
+        "do not compare."
     )
     sections = [text, missing_pairs(rows, PAIRS), "![errors beside the paper's](table5.png)"]
     for pair, columns in rows.items():
@@ -121,7 +124,8 @@ def _cell(entry: dict[str, Any] | None) -> str:
 def _claim(pair: str, name: str, entries: Mapping[str, dict[str, Any]]) -> Claim:
     compared = {key: entry["interval"] for key, entry in entries.items() if key in STATE_ERRORS}
     known = {key: interval for key, interval in compared.items() if interval is not None}
-    above = [key for key, interval in known.items() if interval[0] > STATE_ERRORS[key][0]]
+    labels = {key: entries[key]["label"] for key in known}
+    above = [labels[key] for key, interval in known.items() if interval[0] > STATE_ERRORS[key][0]]
     below = [key for key, interval in known.items() if interval[1] <= STATE_ERRORS[key][0]]
     complete = len(known) == len(STATE_ERRORS)
     verdict = FAILS if above else HOLDS if complete and len(below) == len(known) else UNKNOWN
@@ -151,7 +155,8 @@ def _plot(rows: Mapping[str, Mapping[str, Mapping[str, dict[str, Any]]]], path: 
             y = [entries[name]["mean"] if name in entries else np.nan for name in names]
             axis.plot(x, y, "osD^v"[i % 5], color=colour, ms=4, label=label)
         axis.set(yscale="log", ylabel="mean |estimate - truth| [SI]", title="Estimation errors by component")
-        axis.set_xticks(range(len(names)), [name.replace("_", " ") for name in names], rotation=55, ha="right")
+        labels = {name: entry["label"] for entries in curves.values() for name, entry in entries.items()}
+        axis.set_xticks(range(len(names)), [labels.get(name, name) for name in names], rotation=55, ha="right")
         axis.grid(alpha=0.25)
         axis.legend(fontsize=7, ncols=2)
         return save(figure, path)

@@ -41,7 +41,19 @@ class Grid(NamedTuple):
     settle: float = 5.0
 
 
-QUICK = Grid(speed_step=5.0, yaw_rate_step=1.0, robots=2)
+def grid_of(job: Job, max_speed: float | None = None, max_yaw_rate: float | None = None) -> Grid:
+    """Return the grid of a job: the paper's, or 35 commands of two robots if it is quick.
+
+    Args:
+        job: the request.
+        max_speed: largest |c_v| of another command space, m/s.
+        max_yaw_rate: largest |c_ω|, rad/s.
+    """
+    grid = Grid()
+    speed, yaw_rate = max_speed or grid.max_speed, max_yaw_rate or grid.max_yaw_rate
+    if job.quick:
+        return Grid(speed, yaw_rate, speed / 3, yaw_rate / 2, robots=2)
+    return grid._replace(max_speed=speed, max_yaw_rate=yaw_rate)
 
 
 def measure(
@@ -61,7 +73,7 @@ def measure(
     """
     if not policy.rides:
         raise InputError(f"{policy.folder} is of the task {policy.config.task.name!r}; give a policy that rides")
-    grid = grid or (QUICK if job.quick else Grid())
+    grid = grid or grid_of(job)
     chosen: dict[str, Any] = {"sensors": sensors or policy.config.task.sensors}
     chosen |= {} if robot is None else {"robot": robot}
     asked = {"policy": policy.fingerprint, "seed": job.seed, **grid._asdict(), **chosen}
@@ -83,6 +95,12 @@ def measure(
         save_tracking(result, part / "tracking.npz")
 
     return load_tracking(job.parts.get(f"tracking-{policy.name}", asked, make) / "tracking.npz")
+
+
+def box_of(result: TrackingResult) -> str:
+    """Return the command space of a result as text."""
+    speed, yaw_rate = (float(np.abs(axis).max()) for axis in (result.speed_commands, result.yaw_commands))
+    return f"±{speed:g} m/s × ±{yaw_rate:g} rad/s"
 
 
 def combined_error(result: TrackingResult) -> Array:
