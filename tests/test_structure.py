@@ -30,6 +30,7 @@ LAYERS = [  # each may import from those before it, and from what is in none
     ("torchrl_atr.training",),
     ("torchrl_atr.comparison",),
     ("torchrl_atr.deploy",),
+    ("torchrl_atr.reproduction",),
     ("torchrl_atr.viewer",),
     ("torchrl_atr.cli",),
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 
 def number(value: float | None, width: int, decimals: int) -> str:
@@ -24,3 +25,16 @@ def number(value: float | None, width: int, decimals: int) -> str:
         choices = (f"{value:.{digits}e}" for digits in (2, 1, 0))
         text = next((choice for choice in choices if len(choice) <= width), f"{value:.0e}")
     return text.rjust(width)
+
+
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    r"""Return a Markdown table; bars in cells are escaped.
+
+    Example:
+        >>> print(markdown_table(["name", "m"], [["a|b", "1"]]))
+        | name | m |
+        | --- | --- |
+        | a\|b | 1 |
+    """
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)

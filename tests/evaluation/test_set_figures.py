@@ -97,7 +97,7 @@ def test_vector_files_are_written(tmp_path, capsys):
 
 
 def test_styles_differ():
-    styles = [style for style, _ in zip(set_figures._styles(), range(28))]
+    styles = [style for style, _ in zip(set_figures.line_styles(), range(28))]
     assert len({str(style) for style in styles}) == 28
 
 

@@ -7,6 +7,7 @@ import shlex
 from typing import TYPE_CHECKING
 
 from torchrl_atr._files import say
+from torchrl_atr.cli.chosen import checkpoint_file
 
 if TYPE_CHECKING:
     from torchrl_atr.deploy import Parity
@@ -15,10 +16,8 @@ if TYPE_CHECKING:
 def export(arguments: argparse.Namespace) -> None:
     """Run ``torchrl-atr export``."""
     from torchrl_atr.deploy.export import export_run
-    from torchrl_atr.training.checkpoint import BEST
 
-    checkpoint = BEST if arguments.checkpoint == "best" else None
-    parity = export_run(arguments.run, arguments.output, arguments.imports or (), checkpoint)
+    parity = export_run(arguments.run, arguments.output, arguments.imports or (), checkpoint_file(arguments))
     output = shlex.quote(str(arguments.output))
     say(f"{_compared(parity)}\nwrote {output}; check it anywhere with: torchrl-atr verify {output}")
 

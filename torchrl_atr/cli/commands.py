@@ -16,11 +16,14 @@ from torchrl_atr._files import atomic, folder_for, say, whole
 from torchrl_atr._nested import merged
 from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.bundles import export, verify
+from torchrl_atr.cli.chosen import checkpoint_file, other_model
 from torchrl_atr.cli.compare import compare
 from torchrl_atr.cli.navigate import navigate
+from torchrl_atr.cli.play import play
 from torchrl_atr.cli.plot import plot
 from torchrl_atr.cli.printing import replay_head, replay_line, step_progress
 from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
+from torchrl_atr.cli.reproduce import reproduce
 from torchrl_atr.cli.summary import next_commands, run_figures
 from torchrl_atr.cli.view import demo, view
 from torchrl_atr.deploy.manifest import is_bundle
@@ -111,9 +114,9 @@ def evaluate(arguments: argparse.Namespace) -> None:
 
     fill_options(arguments)
     output = _report_folder(arguments)
-    other = _other_model(arguments)
+    other = other_model(arguments)
     imports = arguments.imports or ()
-    config, env, networks, state = load_run(arguments.run, _checkpoint(arguments), imports, num_envs=1, **other)
+    config, env, networks, state = load_run(arguments.run, checkpoint_file(arguments), imports, num_envs=1, **other)
     env.close()
     if arguments.command_range != "apply":
         networks.command_range = None
@@ -162,18 +165,6 @@ def _record_range(measured: Measured, run: Path) -> str:
     return f"wrote {limits.save(run)}: from now on commands are clipped to it"
 
 
-def _checkpoint(arguments: argparse.Namespace) -> str | None:
-    from torchrl_atr.training.checkpoint import BEST
-
-    return BEST if arguments.checkpoint == "best" else None
-
-
-def _other_model(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the env arguments that replace the run's robot or transporter, if any are given."""
-    asked = {name: getattr(arguments, name) for name in ("robot", "transporter")}
-    return {name: value for name, value in asked.items() if value is not None}
-
-
 def _report_folder(arguments: argparse.Namespace) -> Path:
     """Return the folder of the report; the run's own is for the robot and transporter that it was trained on."""
     from torchrl_atr.training import ConfigError
@@ -187,7 +178,7 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
         home = Path("runs") / home.resolve().name
     own = home if arguments.protocol == "tracking" else home / arguments.protocol
     output = arguments.output or own
-    for name, value in _other_model(arguments).items():
+    for name, value in other_model(arguments).items():
         if arguments.command_range == "record":
             raise ConfigError(
                 f"--command-range record: it is the run's, not that of another {name}; leave out --{name}"
@@ -198,21 +189,6 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
                 "another folder with --output"
             )
     return output
-
-
-def play(arguments: argparse.Namespace) -> None:
-    """Run ``torchrl-atr play``."""
-    from torchrl_atr.evaluation import play_viewer, record_video
-    from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run
-
-    chosen = {"num_envs": 1, "seed": arguments.seed, **_other_model(arguments), **DEPLOYMENT_OVERRIDES}
-    _, env, networks, _ = load_run(arguments.run, _checkpoint(arguments), arguments.imports or (), **chosen)
-    policy = networks.deployed_policy()
-    if arguments.video is None:
-        play_viewer(policy, env)
-    else:
-        record_video(policy, env, arguments.video, seconds=arguments.seconds)
-        say(f"wrote {arguments.video}")
 
 
 def _imports_of(dump: Path) -> Sequence[str]:
@@ -285,6 +261,7 @@ COMMANDS: dict[str, Any] = {
     "navigate": navigate,
     "compare": compare,
     "plot": plot,
+    "reproduce": reproduce,
     "replay": replay,
     "model": write_model,
     "bench": bench,

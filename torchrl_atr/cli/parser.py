@@ -12,8 +12,10 @@ from torchrl_atr import __version__
 from torchrl_atr._registry import nearest
 from torchrl_atr.cli.compare import add_compare
 from torchrl_atr.cli.navigate import add_navigate
+from torchrl_atr.cli.play import add_play
 from torchrl_atr.cli.plot import add_plot
 from torchrl_atr.cli.protocols import PROTOCOLS
+from torchrl_atr.cli.reproduce import add_reproduce
 from torchrl_atr.cli.view import add_demo, add_view
 from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.listings import LISTINGS
@@ -70,7 +72,10 @@ def build_parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("train", help="train a policy; continue a run with --resume", add_help=False)
     _add_evaluate(commands.add_parser("evaluate", help="measure how the deployed policy tracks commands, or lasts"))
-    _add_play(commands.add_parser("play", help="watch the deployed policy, or film it with --video"))
+    playing = commands.add_parser("play", help="watch the deployed policy, or film it with --video")
+    add_play(playing, _number, _seed, _path, _run)
+    _add_checkpoint(playing)
+    _add_import(playing)
     add_demo(commands.add_parser("demo", help="steer a riding robot in the browser"), _number, _run)
     viewing = commands.add_parser("view", help="see, steer and read a policy or a run in the browser")
     add_view(viewing, _number, _seed, _run)
@@ -83,6 +88,9 @@ def build_parser() -> argparse.ArgumentParser:
     add_compare(comparison, _number, _seed, _path, _run)
     _add_checkpoint(comparison)
     _add_import(comparison)
+    paper = commands.add_parser("reproduce", help="make the paper's figures and tables from policies")
+    add_reproduce(paper, _number, _seed, _path)
+    _add_import(paper)
     add_plot(commands.add_parser("plot", help="draw figures over runs, for papers"), _path)
     replay = commands.add_parser("replay", help="step through a simulation that failed: a file of a run's diverged/")
     replay.add_argument("dump", type=_path)
@@ -154,17 +162,6 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     endurance.add_argument("--seconds", type=_number(float, 1, 86400), help="of a ride; default: 60")
     endurance.add_argument("--command-seconds", type=_number(float, 2.02, 86400), help="of a command; default: 5")
     endurance.add_argument("--no-pushes", dest="pushes", action="store_const", const=False, help="leave pushes out")
-
-
-def _add_play(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", type=_run)
-    _add_checkpoint(parser)
-    _add_import(parser)
-    parser.add_argument("--robot", help="watch another one than it was trained with")
-    parser.add_argument("--transporter", help="ride another one than it was trained on")
-    parser.add_argument("--video", type=_path, help="write an .mp4 or .gif instead of opening a viewer")
-    parser.add_argument("--seconds", type=_number(float, 0.1, 3600), default=20.0, help="of the video")
-    parser.add_argument("--seed", type=_seed, default=0)
 
 
 def _add_checkpoint(parser: argparse.ArgumentParser) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from torchrl_atr._files import atomic, write_json
+from torchrl_atr._text import markdown_table
 
 
 def write_comparison(metrics: Mapping[str, Any], folder: str | Path) -> dict[str, Path]:
@@ -79,10 +80,10 @@ def _section(sensors: str, figures: Mapping[str, Any]) -> Iterable[str]:
         for name, row in scored.items()
     ]
     probe = ["true latent", *[""] * 7, _number(true["effective_dimension"], 1), _number(true["probe"]["mean"])]
-    yield _table([*head, "dimension", "probe R²"], [*body, probe])
+    yield markdown_table([*head, "dimension", "probe R²"], [*body, probe])
     yield "What the errors cost, with each estimator in the policy:"
     head = ["estimator", "robots", "up at the end", "falls a minute", "speed error, m/s", "yaw rate error, rad/s"]
-    yield _table(head, [_ride(name, row["rides"]) for name, row in rows.items()])
+    yield markdown_table(head, [_ride(name, row["rides"]) for name, row in rows.items()])
     yield "Root mean square error of each extrinsic state (R² in parentheses):"
     components = [row["components"] for row in scored.values()]
     body = [
@@ -92,7 +93,7 @@ def _section(sensors: str, figures: Mapping[str, Any]) -> Iterable[str]:
         ]
         for same in zip(*components)
     ]
-    yield _table(["state", *scored], body)
+    yield markdown_table(["state", *scored], body)
     yield f"![errors by state]({_figure_file('components', sensors)})"
     yield f"![errors by time in the ride]({_figure_file('drift', sensors)})"
 
@@ -120,9 +121,3 @@ def _with_interval(figure: Mapping[str, Any]) -> str:
 
 def _number(value: float | None, decimals: int = 3) -> str:
     return "" if value is None else f"{value:.{decimals}f}"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a Markdown table."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)

@@ -88,7 +88,7 @@ class Study:
         self.folder, self.options = folder, options
         self._announce, self._tick = announce, tick
         # more seeds are added to what is there
-        asked = {**dataclasses.asdict(options), "policy": _fingerprint(networks)}
+        asked = {**dataclasses.asdict(options), "policy": fingerprint(networks)}
         self._settings = {name: value for name, value in asked.items() if name != "seeds"}
         check_settings(folder, self._settings)
 
@@ -191,8 +191,8 @@ class Study:
         self._announce(f"{text} in {time.monotonic() - begin:.1f} s")
 
 
-def _fingerprint(networks: ROANetworks) -> str:
-    """Return a hash of all weights."""
+def fingerprint(networks: ROANetworks) -> str:
+    """Return a hash of all weights, 16 hexadecimal digits."""
     digest = hashlib.sha256()
     for name, value in sorted(networks.state_dict().items()):
         digest.update(name.encode() + value.numpy().tobytes())

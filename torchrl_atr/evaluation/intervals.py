@@ -68,3 +68,48 @@ def bootstrap(sums: Array, counts: Array, seed: int = 0) -> tuple[Array, Array]:
     filled = np.where(known[..., None], means, 0.0)
     low, high = (np.nanquantile(filled, (1.0 + sign * LEVEL) / 2.0, axis=-1) for sign in (-1, 1))
     return np.where(known, low, np.nan), np.where(known, high, np.nan)
+
+
+def bootstrap_difference(
+    values: Array, others: Array, paired: bool = False, seed: int = 0
+) -> tuple[float, tuple[float, float] | None]:
+    """Compute the mean of ``values`` minus that of ``others``, and its percentile bootstrap interval.
+
+    Args:
+        values: of one sample, (n,).
+        others: of the other, (m,); if ``paired`` of the same robots or paths, (n,), which are then resampled together.
+        paired: whether the values belong together.
+        seed: of the resamples.
+
+    Returns:
+        The difference, NaN without any value, and its interval, None for less than two values of either.
+
+    Example:
+        >>> bootstrap_difference(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1.0, 2.0]), paired=True)
+        (1.0, (1.0, 1.0))
+    """
+    if paired:
+        values, others = values - others, np.zeros(len(values))
+    if not len(values) or not len(others):
+        return np.nan, None
+    difference = float(values.mean() - others.mean())
+    if min(len(values), len(others)) < 2:
+        return difference, None
+    generator = np.random.default_rng(seed)
+    means = [
+        generator.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES) @ sample / n
+        for sample in (values, others)
+        for n in [len(sample)]
+    ]
+    low, high = np.quantile(means[0] - means[1], [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    return difference, (float(low), float(high))
+
+
+def mean_interval(values: Array) -> tuple[float, tuple[float, float] | None]:
+    """Compute the mean of independent values, NaN without any, and its bootstrap interval, None for less than two.
+
+    Example:
+        >>> mean_interval(np.array([2.0, 2.0]))
+        (2.0, (2.0, 2.0))
+    """
+    return bootstrap_difference(values, np.zeros(len(values)), paired=True)

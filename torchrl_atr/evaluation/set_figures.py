@@ -124,19 +124,19 @@ def _learning_curves(logs: Mapping[str, Sequence[Mapping[str, Array]]], chosen: 
             raise InputError(f"progress.csv has no column {name!r}; {nearest(name, sorted(known))}")
     figure, axes = _panels(len(curves))
     for axis, name in zip(axes, curves):
-        for (label, tables), style in zip(logs.items(), _styles()):
+        for (label, tables), style in zip(logs.items(), line_styles()):
             shown = [table for table in tables if name in table]
             if shown:
                 x = np.linspace(0.0, min(table["frames"][-1] for table in shown), _POINTS)
                 lines = [np.interp(x, table["frames"], rolling_mean(table[name])) for table in shown]
-                _band(axis, x / 1e6, lines, label, style)
+                draw_band(axis, x / 1e6, lines, label, style)
         axis.set(title=LEARNING_CURVES.get(name, name.replace("_", " ")), xlabel="robot steps [million]")
-    return _finished(figure, axes)
+    return finished(figure, axes)
 
 
 def _endurance(sets: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     figure, axes = _panels(3)
-    for (label, reports), style in zip(sets.items(), _styles()):
+    for (label, reports), style in zip(sets.items(), line_styles()):
         _reported(axes[0], [report["survival_over_time"] for report in reports], "share", label, style)
         for axis, name in zip(axes[1:], ("speed", "yaw")):
             times = [
@@ -147,7 +147,7 @@ def _endurance(sets: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     for axis, title in zip(axes, ("robots up [share]", "speed error [m/s]", "yaw rate error [rad/s]")):
         axis.set(title=title, xlabel="time [s]")
         axis.set_ylim(0.0, 1.02 if axis is axes[0] else None)
-    return _finished(figure, axes)
+    return finished(figure, axes)
 
 
 def _reported(axis: Axes, curves: Sequence[Mapping[str, Any]], value: str, label: str, style: Any) -> None:
@@ -155,27 +155,27 @@ def _reported(axis: Axes, curves: Sequence[Mapping[str, Any]], value: str, label
     x = np.array(min((curve["seconds"] for curve in curves), key=len), dtype=np.float64)
     lines = [np.array(curve[value], dtype=np.float64)[: len(x)] for curve in curves]
     ends = None if len(curves) > 1 else [np.array(curves[0][end], dtype=np.float64) for end in ("low", "high")]
-    _band(axis, x, lines, label, style, ends)
+    draw_band(axis, x, lines, label, style, ends)
 
 
 def _command_areas(sets: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     figure, axes = _panels(3)
-    for (label, reports), style in zip(sets.items(), _styles()):
+    for (label, reports), style in zip(sets.items(), line_styles()):
         areas = [report["command_area"] for report in reports]
         for axis, name in zip(axes, _AREAS):
             lines = [np.array(area["settled"][name], dtype=np.float64) for area in areas]
-            _band(axis, np.array(areas[0]["epsilon"], dtype=np.float64), lines, label, style)
+            draw_band(axis, np.array(areas[0]["epsilon"], dtype=np.float64), lines, label, style)
     for axis, title in zip(axes, _AREAS.values()):
         axis.set(title=f"settled {title}: trials within ε [share]", xlabel="ε [m/s, rad/s]", ylim=(0.0, 1.02))
-    return _finished(figure, axes)
+    return finished(figure, axes)
 
 
-def _styles() -> Any:
+def line_styles() -> Any:
     """Yield colours and dashes of lines without end; no two of the first 28 look alike."""
     return zip(cycle(PALETTE), (dash for dash in cycle(_DASHES) for _ in PALETTE))
 
 
-def _band(
+def draw_band(
     axis: Axes, x: Array, lines: Sequence[Array], label: str, style: Any, ends: Sequence[Array] | None = None
 ) -> None:
     """Draw the mean of some lines, and a band between ``ends``, or between the lowest and the highest line."""
@@ -196,7 +196,8 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
     return figure, list(axes.flat)[:count]
 
 
-def _finished(figure: Figure, axes: Sequence[Axes]) -> Figure:
+def finished(figure: Figure, axes: Sequence[Axes]) -> Figure:
+    """Add grids, and the first panel's legend below all; return the figure."""
     for axis in axes:
         axis.grid(alpha=0.25)
     handles, labels = axes[0].get_legend_handles_labels()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -10,12 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_atr._files import atomic, write_json
+from torchrl_atr.evaluation.energy import Energy
 from torchrl_atr.evaluation.intervals import bootstrap, wilson
 from torchrl_atr.navigation.map import Map
 from torchrl_atr.navigation.paths import Path
 from torchrl_atr.navigation.trips import COLLIDED, FELL, GOAL, TIMEOUT, TripsResult
 
 Array = NDArray[np.float64]
+_NESTED = ("energy", "traces")
 COLOURS = {GOAL: "tab:blue", FELL: "tab:red", COLLIDED: "tab:orange", TIMEOUT: "tab:purple"}
 
 
@@ -62,12 +65,28 @@ def write_trips(
     """Write ``metrics.json``, ``trips.npz`` (paths, traces, outcomes) and ``overview.png``; return the files."""
     files = {name: FilePath(folder) / name for name in ("metrics.json", "trips.npz", "overview.png")}
     write_json(files["metrics.json"], metrics, allow_nan=False)
-    arrays: dict[str, Any] = {f"path_{i}": path.points for i, path in enumerate(paths)}
-    arrays |= {f"trace_{i}": trace for i, trace in enumerate(result.traces)}
-    with atomic(files["trips.npz"]) as file:
-        np.savez_compressed(file, outcome=result.outcome, seconds=result.seconds, **arrays)
+    save_trips(result, paths, files["trips.npz"])
     plot_trips(result, paths, where, files["overview.png"])
     return files
+
+
+def save_trips(result: TripsResult, paths: Sequence[Path], file: str | FilePath) -> None:
+    """Write trips and their paths as one ``.npz`` file; :func:`load_trips` reads the trips back."""
+    arrays: dict[str, Any] = {name: value for name, value in vars(result).items() if name not in _NESTED}
+    arrays |= {f"cot_{name}": value for name, value in result.energy._asdict().items()}
+    arrays |= {f"path_{i}": path.points for i, path in enumerate(paths)}
+    arrays |= {f"trace_{i}": trace for i, trace in enumerate(result.traces)}
+    with atomic(file) as written:
+        np.savez_compressed(written, **arrays)
+
+
+def load_trips(file: str | FilePath) -> TripsResult:
+    """Read the trips of a file that :func:`save_trips` wrote."""
+    with np.load(file) as arrays:
+        values = {field.name: arrays[field.name] for field in fields(TripsResult) if field.name not in _NESTED}
+        energy = Energy(*(arrays[f"cot_{name}"] for name in Energy._fields))
+        traces = [arrays[f"trace_{i}"] for i in range(len(values["outcome"]))]
+    return TripsResult(**values, energy=energy, traces=traces)
 
 
 def plot_trips(result: TripsResult, paths: Sequence[Path], where: Map, file: str | FilePath) -> FilePath:

@@ -14,7 +14,7 @@ from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, sa
 from torchrl_atr.training.config import ConfigError, TrainConfig, make_config, parse_settings, read_config
 from torchrl_atr.training.guard import TrainingDiverged
 from torchrl_atr.training.learner import Learner
-from torchrl_atr.training.loading import load_run
+from torchrl_atr.training.loading import commanded_range, load_run
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory
 from torchrl_atr.training.presets import PRESETS, TASK_SETTINGS, additions
 from torchrl_atr.training.restoring import checkpoint_config
@@ -38,6 +38,7 @@ __all__ = [
     "TrainingDiverged",
     "additions",
     "checkpoint_config",
+    "commanded_range",
     "load_checkpoint",
     "load_run",
     "make_config",

@@ -72,6 +72,21 @@ def load_run(
     return config, env, networks.eval(), state
 
 
+def commanded_range(config: TrainConfig, networks: Any) -> CommandRange | None:
+    """Return the range of commands that a policy is for: its recorded range, or the box of its training.
+
+    None for a task without a command grid.
+
+    Example:
+        >>> from types import SimpleNamespace
+        >>> commanded_range(TrainConfig(), SimpleNamespace(command_range=None)).max_speed
+        2.2
+    """
+    if networks.command_range is not None:
+        return networks.command_range
+    return None if config.grid is None else CommandRange(*config.grid.bounds)
+
+
 def _recipes_envs(
     config: TrainConfig, state: dict[str, Any], run: Path, overrides: dict[str, Any]
 ) -> tuple[EnvBase, EnvBase]:

@@ -1,0 +1,187 @@
+"""``torchrl-atr reproduce``: the paper's figures and tables, and the page on its claims."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from torchrl_atr._errors import MissingPackageError, UserError
+from torchrl_atr._files import folder_for, say
+from torchrl_atr.cli.printing import step_progress
+
+if TYPE_CHECKING:
+    from torchrl_atr.reproduction.policies import RiderPolicy
+    from torchrl_atr.reproduction.report import Job
+    from torchrl_atr.reproduction.tracking import Grid
+
+ROOT = Path("results/paper")
+ALL, SUMMARY = "all", "summary"
+_SPACE = ("max_speed", "max_yaw_rate")
+
+
+class Figure(NamedTuple):
+    """Figure or table: the function that makes it, its own options, and whether it is of given policies."""
+
+    make: Callable[..., Path]
+    options: tuple[str, ...] = ()
+    needs_policies: bool = True
+
+
+def _grid(job: Job, options: dict[str, Any]) -> Grid:
+    """Return the grid of commands that is asked for, and take its options out of ``options``."""
+    from torchrl_atr.reproduction.tracking import grid_of
+
+    return grid_of(job, *(options.pop(name, None) for name in _SPACE))
+
+
+def _figure4(job: Job, folder: Path, **options: Any) -> Path:
+    from torchrl_atr.reproduction.figure4 import figure4
+
+    return figure4(job, folder, grid=_grid(job, options), **options)
+
+
+def _table5(job: Job, folder: Path, history_only: Sequence[str] = (), **options: Any) -> Path:
+    from torchrl_atr.reproduction.policies import load_policies
+    from torchrl_atr.reproduction.table5 import table5
+
+    policies = load_policies(history_only, job.imports, "--history-only")
+    return table5(job, folder, policies, _grid(job, options))
+
+
+def _figure6(job: Job, folder: Path, **options: Any) -> Path:
+    from torchrl_atr.reproduction.figure6 import figure6
+
+    return figure6(job, folder, **options)
+
+
+def _figure5(job: Job, folder: Path, walking: Sequence[str] = (), **options: Any) -> Path:
+    try:
+        from torchrl_atr.reproduction.figure5 import figure5
+    except ModuleNotFoundError as error:
+        if error.name not in ("ompl", "shapely"):
+            raise
+        raise MissingPackageError(error.name, "navigation") from None
+    from torchrl_atr.reproduction.policies import load_policies
+
+    return figure5(job, folder, load_policies(walking, job.imports, "--walking"), **options)
+
+
+def _figure7(job: Job, folder: Path, config: Path | None = None, **options: Any) -> Path:
+    from torchrl_atr.reproduction.figure7 import figure7
+    from torchrl_atr.training import read_config
+
+    settings = None if config is None else read_config(config)
+    return figure7(job, folder, settings=settings, grid=_grid(job, options), **options)
+
+
+FIGURES = {
+    "figure4": Figure(_figure4, ("compatibility", *_SPACE)),
+    "table5": Figure(_table5, ("history_only", *_SPACE)),
+    "figure6": Figure(_figure6, ("commands",)),
+    "figure5": Figure(_figure5, ("walking", "maps", "starts")),
+    "figure7": Figure(_figure7, ("variants", "frames", "seeds", "config", *_SPACE), needs_policies=False),
+}
+"""What can be made, in the order of ``all``."""
+
+
+def add_reproduce(parser: argparse.ArgumentParser, number_in: Any, seed: Any, path: Any) -> None:
+    """Add the options of ``reproduce`` to its parser; its ``--import`` is everybody's.
+
+    Args:
+        parser: of the command.
+        number_in: makes the type of a number in a range.
+        seed: type of a seed.
+        path: type of a path.
+    """
+    parser.add_argument("name", choices=(*FIGURES, SUMMARY, ALL), help="summary: the page on all claims")
+    text = "runs, bundles or installed policies, one for each pair; default: all installed ones"
+    parser.add_argument("--policies", nargs="+", metavar="[PAIR=]RUN", help=text)
+    text = f"default: {ROOT}/NAME, of all {ROOT}; finished measurements in it are not made again"
+    parser.add_argument("--output", type=path, metavar="DIR", help=text)
+    parser.add_argument("--seed", type=seed, default=0)
+    parser.add_argument("--quick", action="store_true", help="coarse sizes, minutes: shows that everything works")
+    own = parser.add_argument_group("figure4, table5, figure7")
+    text = "of another command space, m/s; default: the paper's 15"
+    own.add_argument("--max-speed", type=number_in(float, 0.1, 100), help=text)
+    own.add_argument("--max-yaw-rate", type=number_in(float, 0.1, 100), help="likewise, rad/s; default: 2")
+    own = parser.add_argument_group("figure4")
+    text = "let each policy ride with the other robot of its group, too"
+    own.add_argument("--compatibility", action="store_const", const=True, help=text)
+    own = parser.add_argument_group("table5")
+    text = "policies whose estimators read the history alone, to compare"
+    own.add_argument("--history-only", nargs="+", metavar="[PAIR=]RUN", help=text)
+    own = parser.add_argument_group("figure6")
+    own.add_argument("--commands", metavar="FILE", help=".csv or .toml; default: figure6, which is in the package")
+    own = parser.add_argument_group("figure5")
+    text = "policies of the walking task, to compare"
+    own.add_argument("--walking", nargs="+", metavar="RUN", help=text)
+    own.add_argument("--maps", nargs="+", metavar="MAP", help="names, .toml files or images; default: open streets")
+    own.add_argument("--starts", type=number_in(int, 1, 10_000), metavar="N", help="trips on each; default: 50")
+    own = parser.add_argument_group("figure7")
+    own.add_argument("--variants", nargs="+", metavar="NAME", help="such as full 'no curriculum'; default: all")
+    text = "robot steps of each training; default: the recipe's total_frames"
+    own.add_argument("--frames", type=number_in(int, 1, 10**15), metavar="N", help=text)
+    own.add_argument("--seeds", type=number_in(int, 1, 1000), metavar="N", help="trainings of each; default: 3")
+    own.add_argument("--config", type=path, metavar="FILE", help="settings of all trainings, as of train --config")
+
+
+def reproduce(arguments: argparse.Namespace) -> None:
+    """Run ``torchrl-atr reproduce``."""
+    from torchrl_atr.reproduction.parts import Parts
+    from torchrl_atr.reproduction.report import Job
+    from torchrl_atr.reproduction.summary import summary
+
+    several = arguments.name in (ALL, SUMMARY)
+    chosen = list(FIGURES) if arguments.name == ALL else [arguments.name] if arguments.name in FIGURES else []
+    _check_options(arguments, chosen)
+    output = arguments.output or (ROOT if several else ROOT / arguments.name)
+    shared = output if several or arguments.output is not None else ROOT
+    policies = _policies(arguments, chosen)
+    command = shlex.join(_words(arguments))
+    for name in chosen:
+        figure, folder = FIGURES[name], output / name if several else output
+        parts, imports = Parts(shared / "parts"), tuple(arguments.imports or ())
+        job = Job(policies, parts, command, arguments.seed, arguments.quick, imports, step_progress)
+        options = {own: getattr(arguments, own) for own in figure.options if getattr(arguments, own) is not None}
+        with folder_for(folder):
+            say(f"wrote {figure.make(job, folder, **options)}")
+    if several:
+        say(f"wrote {summary(output)}")
+
+
+def _policies(arguments: argparse.Namespace, chosen: Sequence[str]) -> list[RiderPolicy]:
+    from torchrl_atr.reproduction.policies import installed_policies, load_policies
+
+    if not any(FIGURES[name].needs_policies for name in chosen):
+        if arguments.policies is not None:
+            raise UserError(f"--policies: {arguments.name} is not of given policies; leave it out")
+        return []
+    imports = tuple(arguments.imports or ())
+    if arguments.policies is not None:
+        return load_policies(arguments.policies, imports)
+    policies = [policy for policy in installed_policies(imports) if policy.rides]
+    if not policies:
+        raise UserError("no policy that rides is installed; give --policies RUN")
+    return policies
+
+
+def _check_options(arguments: argparse.Namespace, chosen: list[str]) -> None:
+    allowed = {option for name in chosen for option in FIGURES[name].options}
+    for figure in FIGURES.values():
+        for option in figure.options:
+            if option not in allowed and getattr(arguments, option) is not None:
+                owners = [each for each, other in FIGURES.items() if option in other.options]
+                raise UserError(f"--{option.replace('_', '-')}: only of {' and '.join(owners)}; leave it out")
+
+
+def _words(arguments: argparse.Namespace) -> Iterator[str]:
+    """Yield the words of the command that makes the same again."""
+    yield from ("torchrl-atr", "reproduce", arguments.name)
+    for name, value in vars(arguments).items():
+        if name in ("command", "parser", "name", "output") or value in (None, False, [], 0):
+            continue
+        yield "--import" if name == "imports" else f"--{name.replace('_', '-')}"
+        yield from [] if value is True else map(str, value if isinstance(value, list) else [value])

@@ -1,0 +1,265 @@
+"""Figure 5: long-range navigation, riding against walking, on the same paths at the same speeds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from torchrl_atr._cpus import available_cpus
+from torchrl_atr._errors import InputError
+from torchrl_atr._files import atomic, say
+from torchrl_atr._text import markdown_table
+from torchrl_atr.evaluation.access import command_limits
+from torchrl_atr.evaluation.intervals import bootstrap_difference
+from torchrl_atr.navigation import Map, PursuitConfig, TripsResult, load_map, plan_all, run_trips
+from torchrl_atr.navigation import Path as Route
+from torchrl_atr.navigation.places import draw_places
+from torchrl_atr.navigation.report import load_trips, plot_trips, save_trips, trip_metrics
+from torchrl_atr.navigation.trips import GOAL, footprint_of
+from torchrl_atr.reproduction.paper import SPEEDS
+from torchrl_atr.reproduction.policies import RiderPolicy
+from torchrl_atr.reproduction.report import Claim, Job, judge, with_interval, write_report
+
+COSTS = {"paper": "mean over joints", "joints": "sum over joints", "system": "joints and drive"}
+"""Costs of transport, and what they add up."""
+_YAW_RATE, _MARGIN = 0.5, 0.8
+"""Yaw rate of a planned turn, rad/s, and distance kept to obstacles, m."""
+
+
+class Sizes(NamedTuple):
+    """Maps, and the number of trips on each."""
+
+    maps: Sequence[str] = ("open", "streets")
+    starts: int = 50
+
+
+QUICK = Sizes(("open",), 2)
+
+
+class Method(NamedTuple):
+    """Policy, and what its trips depend on.
+
+    Attributes:
+        policy: that rides or walks.
+        robot: its name.
+        group: size class of the robot, which decides the speed.
+        footprint: length and width of what must not touch an obstacle, m.
+    """
+
+    policy: RiderPolicy
+    robot: str
+    group: str
+    footprint: tuple[float, float]
+
+
+def figure5(
+    job: Job,
+    folder: Path,
+    walking: Sequence[RiderPolicy] = (),
+    maps: Sequence[str] | None = None,
+    starts: int | None = None,
+) -> Path:
+    """Ride, and walk, along planned paths; write figures, ``figure5.json`` and the page.
+
+    Robots of a group follow the same paths at the same speed, planned for the largest footprint among them.
+
+    Args:
+        job: policies that ride, seed, and finished parts.
+        folder: to write to.
+        walking: policies of the walking task, to compare.
+        maps: names or files of maps.
+        starts: trips on each map.
+
+    Raises:
+        InputError: without a policy, for a speed that a policy's env does not take, a wrong map, or a path that cannot
+            be planned; before anything is simulated.
+    """
+    if not job.policies:
+        raise InputError("Figure 5 needs policies that ride; give --policies RUN")
+    sizes = QUICK if job.quick else Sizes()
+    places = [load_map(source) for source in maps or sizes.maps]
+    methods = [_method(policy) for policy in (*job.policies, *walking)]
+    groups = sorted({method.group for method in methods})
+    footprints = {
+        group: tuple(max(m.footprint[i] for m in methods if m.group == group) for i in range(2)) for group in groups
+    }
+    routes = {
+        (where.name, group): _routes(job, where, group, footprints[group], starts or sizes.starts)
+        for where in places
+        for group in groups
+    }
+    results: dict[tuple[str, str], TripsResult] = {}
+    images = []
+    for where in places:
+        for method in methods:
+            name, paths = method.policy.name, routes[where.name, method.group]
+            result = results[where.name, name] = _trips(job, method, where, paths)
+            images.append(plot_trips(result, paths, where, folder / f"{where.name}-{name}.png"))
+    rows = [{"map": where, "method": name, **trip_metrics(result)} for (where, name), result in results.items()]
+    _plot(results, folder / "cost_of_transport.png")
+    differences = list(_differences(results, methods))
+    text = (
+        "Paths by RRT* over Dubins curves and a spline, pure pursuit, the robots' places known; 1.5 m/s in group 1 and "
+        "3 m/s in group 2, from rest, sensors of the training. A trip ends at the goal, in a fall, in a collision, or "
+        "after twice the path's time. Costs of transport are of trips that reached the goal: power over m g v with "
+        "the robot's mass, of torque and velocity of the same instant. A method that falls spends nothing: read them "
+        "beside the successes. The paper prints this figure without numbers."
+    )
+    sections = [text, _table(rows), "![cost of transport](cost_of_transport.png)"]
+    if not walking:
+        sections.insert(1, "No walking policy was given: there is nothing to compare with.")
+    sections += [f"![trips, {image.stem}]({image.name})" for image in images]
+    claims = [_claim(each) for each in differences] or [_claim(None)]
+    return write_report(
+        job,
+        folder,
+        "figure5",
+        "Figure 5: long-range navigation",
+        sections,
+        claims,
+        trips=rows,
+        differences=differences,
+        walking={policy.name: policy.described() for policy in walking},
+    )
+
+
+def _method(policy: RiderPolicy) -> Method:
+    env = policy.envs()(num_envs=1, seed=0)
+    env.reset()
+    robot = env.base_env.scene.robot
+    method = Method(policy, robot.name, robot.group, footprint_of(env))
+    _, high = command_limits(env, (math.inf, math.inf))
+    limits = policy.networks.command_range
+    most = min(float(high[0]), math.inf if limits is None else limits.max_speed)
+    env.close(raise_if_closed=False)
+    if SPEEDS[robot.group] > most:
+        raise InputError(
+            f"{policy.name}, {policy.folder}: trips of {robot.group} are at {SPEEDS[robot.group]:g} m/s, and it takes "
+            f"commands up to {most:g} m/s; give a policy that takes them"
+        )
+    return method
+
+
+def _routes(job: Job, where: Map, group: str, footprint: Any, starts: int) -> list[Route]:
+    asked = {"map": where.free.wkt, "speed": SPEEDS[group], "footprint": footprint, "starts": starts, "seed": job.seed}
+
+    def make(part: Path) -> None:
+        begins, goal = draw_places(where, starts, footprint, _MARGIN, seed=job.seed)
+        say(f"planning {starts} paths on {where.name!r} for {group}")
+        radius = SPEEDS[group] / _YAW_RATE
+        paths = plan_all(
+            begins,
+            available_cpus(),
+            job.seed + 1,
+            where=where,
+            goal=goal,
+            turning_radius=radius,
+            footprint=footprint,
+            margin=_MARGIN,
+        )
+        arrays = {f"{field}_{i}": value for i, path in enumerate(paths) for field, value in vars(path).items()}
+        with atomic(part / "paths.npz") as file:
+            np.savez_compressed(file, **arrays)
+
+    with np.load(job.parts.get(f"paths-{where.name}-{group}", asked, make) / "paths.npz") as file:
+        return [Route(file[f"points_{i}"], file[f"curvature_{i}"]) for i in range(starts)]
+
+
+def _trips(job: Job, method: Method, where: Map, paths: Sequence[Route]) -> TripsResult:
+    policy, speed = method.policy, SPEEDS[method.group]
+    length = [round(path.length, 6) for path in paths]
+    asked = {"policy": policy.fingerprint, "map": where.free.wkt, "paths": length, "speed": speed, "seed": job.seed}
+
+    def make(part: Path) -> None:
+        pursuit = PursuitConfig(speed=speed, max_yaw_rate=1.5 * _YAW_RATE)
+        with job.progress(f"{policy.name} on {where.name}") as progress:
+            result = run_trips(policy.policy, policy.envs(), paths, where, pursuit, seed=job.seed, progress=progress)
+        save_trips(result, paths, part / "trips.npz")
+
+    return load_trips(job.parts.get(f"trips-{where.name}-{policy.name}", asked, make) / "trips.npz")
+
+
+def _differences(results: Mapping[tuple[str, str], TripsResult], methods: Sequence[Method]) -> Iterator[dict[str, Any]]:
+    """Yield, for each map and pair with a walking policy, walking minus riding on the paths that both completed."""
+    walkers = {method.robot: method.policy.name for method in methods if not method.policy.rides}
+    for (where, name), riding in results.items():
+        robot = next(method.robot for method in methods if method.policy.name == name)
+        if walkers.get(robot) in (None, name):
+            continue
+        walking = results[where, walkers[robot]]
+        both = (riding.outcome == GOAL) & (walking.outcome == GOAL)
+        row: dict[str, Any] = {"map": where, "riding": name, "walking": walkers[robot], "paths": int(both.sum())}
+        for cost in COSTS:
+            pair = [np.asarray(getattr(each.energy, cost), dtype=float)[both] for each in (walking, riding)]
+            value, interval = bootstrap_difference(pair[0], pair[1], paired=True)
+            row[cost] = {"difference": value if both.any() else None, "interval": interval and list(interval)}
+        yield row
+
+
+def _claim(row: Mapping[str, Any] | None) -> Claim:
+    text = "Transporters reduce the power consumption of robots, for all pairs"
+    if row is None:
+        test = "the paper's cost of transport, walking minus riding on the same paths, above 0"
+        return Claim(text, test, remark="No walking policy of a riding robot was given")
+    test = f"{row['map']}, {row['walking']} minus {row['riding']}: the paper's cost of transport on the paths that both"
+    value, interval = row["paper"]["difference"], row["paper"]["interval"]
+    remark = f"{row['paths']} paths; {', '.join(_cost(row, cost) for cost in COSTS if cost != 'paper')}"
+    return Claim(text, f"{test} completed, above 0", value, interval, judge(interval), remark)
+
+
+def _cost(row: Mapping[str, Any], cost: str) -> str:
+    return f"{COSTS[cost]}: {with_interval(row[cost]['difference'], row[cost]['interval'])}"
+
+
+def _table(rows: Sequence[Mapping[str, Any]]) -> str:
+    names = ("spl", "seconds", "deviation", *(f"cot_{cost}" for cost in COSTS))
+    head = ["map", "policy", "trips", "at the goal", "SPL", "time, s", "off the path, m"]
+    head += [f"CoT, {text}" for text in COSTS.values()]
+    body = [
+        [
+            row["map"],
+            row["method"],
+            str(row["trips"]),
+            with_interval(row["success"], row["success_interval"], 2),
+            *(with_interval(row[name]["mean"], row[name]["interval"]) for name in names),
+        ]
+        for row in rows
+    ]
+    return markdown_table(head, body)
+
+
+def _plot(results: Mapping[tuple[str, str], TripsResult], path: Path) -> Path:
+    from matplotlib import pyplot as plt
+
+    from torchrl_atr.evaluation.plotting import STYLE, save
+
+    maps = list(dict.fromkeys(where for where, _ in results))
+    names = list(dict.fromkeys(name for _, name in results))
+    with plt.rc_context(STYLE):
+        figure, axes = plt.subplots(1, len(maps), figsize=(1.5 + 3.6 * len(maps), 3.4), sharey=True, squeeze=False)
+        for axis, where in zip(axes[0], maps):
+            for place, name in enumerate(names):
+                result = results[where, name]
+                values = np.asarray(result.energy.joints, dtype=float)[result.outcome == GOAL]
+                if len(values):
+                    axis.boxplot(values, positions=[place], widths=0.6)
+                else:
+                    axis.text(
+                        place,
+                        0.5,
+                        "none at the goal",
+                        rotation=90,
+                        ha="center",
+                        va="center",
+                        transform=axis.get_xaxis_transform(),
+                        fontsize=8,
+                    )
+            axis.set_xticks(range(len(names)), names, rotation=40, ha="right")
+            axis.set(title=where, xlim=(-0.6, len(names) - 0.4), ylim=(0.0, None))
+            axis.grid(alpha=0.25, axis="y")
+        axes[0, 0].set_ylabel("cost of transport, sum over joints")
+        return save(figure, path)
