@@ -15,7 +15,7 @@ from torchrl_atr.envs.physics.engine import CONTROL_DT
 
 _ERRORS = ("noise", "bias", "bias_time", "delay")
 Draw = dict[str, Tensor]
-"""``offset`` and ``delay`` of a group's components at this step, (N, D) each, and exact values ``before`` it, (N, K D)."""
+"""``offset`` and ``delay`` of a group's components at a step, (N, D) each; exact values ``before`` it, (N, K D)."""
 
 
 @dataclass
