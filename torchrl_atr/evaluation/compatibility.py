@@ -144,8 +144,13 @@ def ride_on(
         >>> ride_on(policy, make_env, Pair("go1", "two_board"), 2, 0.2, **short).survived.tolist()
         [True, True]
     """
-    there = partial(make_env, robot=pair.robot, transporter=pair.transporter)
-    own, other = (build_env(make, 1, 0) for make in (make_env, there))
+    own = build_env(make_env, 1, 0)
+    scene: Scene = base_env(own).scene
+    names = Pair(scene.robot.name, scene.support.name)
+    # what stays need not be registered: a robot of the user's own
+    replaced = {part: name for part, name in pair._asdict().items() if name != getattr(names, part)}
+    there = partial(make_env, **replaced)
+    other = build_env(there, 1, 0)
     try:
         check_fit(policy, own, other)
     finally:

@@ -136,7 +136,8 @@ def _sweeps(task: Task) -> Iterator[Sweep]:
 
 
 def _simulated(name: str, seconds: Sequence[float]) -> tuple[Condition, ...]:
-    return tuple(Condition(name, _ms(s), "beyond", simulation=Simulation(**{name: s})) for s in seconds)
+    made: list[tuple[float, dict[str, Any]]] = [(s, {name: s}) for s in seconds]
+    return tuple(Condition(name, _ms(s), "beyond", simulation=Simulation(**fields)) for s, fields in made)
 
 
 def _outwards(parameter: IntrinsicParameter, sign: int) -> list[tuple[float, Region]]:
@@ -146,7 +147,9 @@ def _outwards(parameter: IntrinsicParameter, sign: int) -> list[tuple[float, Reg
     if (end - parameter.nominal) * sign <= 0:
         return []
     step = abs(test - end) or abs(end - parameter.nominal)
-    values: list[tuple[float, Region]] = [(end, "training"), *([(test, "test")] if test != end else [])]
+    values: list[tuple[float, Region]] = [(end, "training")]
+    if test != end:
+        values.append((test, "test"))
     outer = max(test * sign, end * sign) * sign
     values += [(round(outer + sign * count * step, 6), "beyond") for count in BEYOND]
     positive = min(parameter.train) > 0.0  # a mass, a stiffness: less than nothing has no meaning
