@@ -101,9 +101,11 @@ def page(report: Mapping[str, Any]) -> str:
         "",
     ]
     lasting = report["evaluations"].get("endurance")
-    if lasting is None or lasting["estimate_drift"] is None:  # not asked for, or nobody was up
+    if lasting is None:  # not among the rows that were asked for
         return "\n".join(lines)
-    drift, (low, high) = lasting["estimate_drift"], lasting["estimate_drift_interval"]
+    drift, (low, high) = lasting["estimate_drift"], lasting["estimate_drift_interval"] or (None, None)
+    if drift is None or low is None:  # of one robot at most
+        return "\n".join(lines)
     lines += [
         f"The error of the estimated platform speed in the last 10 s of a minute is {drift:.2f} times "
         f"[{low:.2f}, {high:.2f}] that in the first 10 s.",

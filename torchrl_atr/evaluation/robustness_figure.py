@@ -81,6 +81,6 @@ def _conditions(metrics: Mapping[str, Any]) -> str:
     pushes = metrics["push_seconds"]
     return (
         f"{metrics['n']} robots in every ride, {metrics['seconds']:g} s; a command every "
-        f"{metrics['command_seconds']:g} s; {'no pushes' if pushes is None else f'pushes every {pushes:g} s'}. Dark: "
-        "training range, light: test range; dotted: as trained. Intervals are of 95 %"
+        f"{metrics['command_seconds']:g} s; {'no pushes' if pushes is None else f'pushes every {pushes:g} s'}\n"
+        "dark: training range, light: test range\ndotted: as trained; intervals are of 95 %"
     )
