@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 
 from torchrl_atr.evaluation.plotting import GREY, SHARES, STYLE, hatch_handle, save
 
-_DARK = 0.5
+_DARK = 0.55
 """Share below which text is white."""
 
 
