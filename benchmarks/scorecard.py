@@ -18,6 +18,7 @@ from benchmarks import results
 from torchrl_atr import cli
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import say
+from torchrl_atr.deploy.manifest import is_bundle
 from torchrl_atr.evaluation.intervals import wilson
 from torchrl_atr.training.provenance import cores, machine
 
@@ -41,15 +42,25 @@ EVALUATIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 """Protocol and options of ``torchrl-atr evaluate``, by the folder of the report."""
 
 
-def evaluate(run: Path, seed: int, rows: Sequence[str]) -> dict[str, dict[str, Any]]:
+def evaluate(
+    run: Path, seed: int, rows: Sequence[str], more: Mapping[str, Sequence[str]] | None = None
+) -> dict[str, dict[str, Any]]:
     """Run the missing evaluations of ``rows``, and return the metrics of each.
 
+    Args:
+        run: folder of a trained run.
+        seed: of the evaluations.
+        rows: names in :data:`EVALUATIONS`.
+        more: further options of the rows that it names.
+
     Raises:
-        UserError: if an evaluation failed.
+        UserError: if an evaluation failed, or ``run`` is a policy bundle.
     """
+    if is_bundle(run):
+        raise UserError(f"{run} is a policy bundle, whose files are sealed; give the run that it was exported from")
     metrics = {}
     for name in rows:
-        folder, options = run / name, EVALUATIONS[name][1]
+        folder, options = run / name, (*EVALUATIONS[name][1], *(more or {}).get(name, ()))
         if not (folder / "metrics.json").is_file():
             say(f"{name}: torchrl-atr evaluate {run} {' '.join(options)}")
             if cli.main(["evaluate", str(run), "--seed", str(seed), "--output", str(folder), *options]):
@@ -92,7 +103,9 @@ def page(report: Mapping[str, Any]) -> str:
     lasting = report["evaluations"].get("endurance")
     if lasting is None:  # not among the rows that were asked for
         return "\n".join(lines)
-    drift, (low, high) = lasting["estimate_drift"], lasting["estimate_drift_interval"]
+    drift, (low, high) = lasting["estimate_drift"], lasting["estimate_drift_interval"] or (None, None)
+    if drift is None or low is None:  # of one robot at most
+        return "\n".join(lines)
     lines += [
         f"The error of the estimated platform speed in the last 10 s of a minute is {drift:.2f} times "
         f"[{low:.2f}, {high:.2f}] that in the first 10 s.",
@@ -101,19 +114,22 @@ def page(report: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _measure(arguments: argparse.Namespace) -> None:
-    metrics = evaluate(arguments.run, arguments.seed, [name for name in EVALUATIONS if name in arguments.rows])
-    origin = metrics["tracking"]
+def measure(
+    run: Path, seed: int, rows: Sequence[str], more: Mapping[str, Sequence[str]] | None = None
+) -> dict[str, Any]:
+    """Evaluate a run, see :func:`evaluate`; write ``scorecard.json`` and ``README.md`` into it; return the report."""
+    metrics = evaluate(run, seed, [name for name in EVALUATIONS if name in rows], more)
+    origin = next(iter(metrics.values()))
     report = {
-        "command": f"python -m benchmarks.scorecard {arguments.run} --seed {arguments.seed}",
+        "command": f"python -m benchmarks.scorecard {run} --seed {seed}",
         "robot": origin["evaluation"]["robot"],
         "transporter": origin["evaluation"]["transporter"],
         "run": origin["run"],
         **machine(),
         "evaluations": {name: _short(each) for name, each in metrics.items()},
     }
-    results.write(arguments.run, "scorecard", report, page(report))
-    say(page(report))
+    results.write(run, "scorecard", report, page(report))
+    return report
 
 
 def _short(metrics: Mapping[str, Any]) -> dict[str, Any]:
@@ -133,6 +149,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--rows", nargs="+", choices=tuple(EVALUATIONS), default=tuple(EVALUATIONS), metavar="ROW")
     arguments = parser.parse_args(argv)
     return results.exit_code("scorecard", partial(_measure, arguments))
+
+
+def _measure(arguments: argparse.Namespace) -> None:
+    say(page(measure(arguments.run, arguments.seed, arguments.rows)))
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import pytest
 from torchrl_atr.cli.parser import build_parser
 from torchrl_atr.cli.protocols import fill_options
 from torchrl_atr.evaluation import command_grid
+from torchrl_atr.training import ConfigError
 
 
 def options(*words):
@@ -36,3 +37,23 @@ def test_tracking_is_the_default():
         1.0,
         8,
     )
+
+
+def test_robustness_is_many_short_rides_of_the_training_range():
+    asked = options("--protocol", "robustness", "--parameters", "payload", "com_shift[0]")
+    assert (asked.randomization, asked.robots, asked.seconds, asked.pushes) == ("train", 100, 20.0, True)
+    assert asked.parameters == ["payload", "com_shift[0]"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--protocol", "endurance", "--parameters", "payload"], "--parameters: only of --protocol robustness"),
+        (["--protocol", "robustness", "--on", "go1/two_board"], "--on: only of --protocol compatibility"),
+        (["--protocol", "robustness", "--command-range", "record"], "take --protocol tracking"),
+        (["--protocol", "compatibility", "--robot", "go1"], "give --on ROBOT/TRANSPORTER"),
+    ],
+)
+def test_options_of_other_protocols_are_refused(words, message):
+    with pytest.raises(ConfigError, match=message):
+        options(*words)

@@ -14,14 +14,17 @@ import torch
 
 import torchrl_atr
 from torchrl_atr.cli import commands, main
+from torchrl_atr.cli.parser import build_parser
 from torchrl_atr.deploy import BundleError, PolicyRunner, export, policies, read_manifest, verify
 from torchrl_atr.deploy import manifest as manifests
+from torchrl_atr.deploy.card import card, check_scorecard
 from torchrl_atr.deploy.export import LARGEST, export_run
-from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, WEIGHTS
+from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, WEIGHTS, report_home
 from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import ROBOTS
 from torchrl_atr.modules import CommandClippedPolicy
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
+from torchrl_atr.viewer import Session, Setup
 
 RUN = Path(__file__).parents[2] / "results" / "a1-single_board"
 
@@ -113,7 +116,20 @@ def test_an_installed_bundle_is_a_name_wherever_a_run_is(bundle, tmp_path, monke
     assert main(["train", "--from", "mine", *tiny, *plain, "--output", "finer"]) == 0
     assert main(["train", "--resume", str(bundle)]) == 2
     assert "begin a new run with --from" in capsys.readouterr().err
+    assert main(["train", "--resume", "mine"]) == 2
+    assert "begin a new run with --from" in capsys.readouterr().err
     assert PolicyRunner("mine").manifest["name"] == "a1-single_board"
+    for words in (["play"], ["view"], ["demo"], ["verify"], ["navigate"], ["compare", "--output", "x"]):
+        arguments = build_parser().parse_args([words[0], "mine", *words[1:]])
+        given = {getattr(arguments, name, None) for name in ("run", "policy", "bundle")}
+        assert tmp_path / "policies" / "mine" in given
+    for words in (["export", "mine"], ["plot", "mine"], ["plot", "ours=mine"]):
+        assert main([*words, "--output", "other"]) == 2
+        assert "bundle" in capsys.readouterr().err
+    assert report_home(tmp_path / "policies" / "mine") == Path("runs/a1-single_board")
+    session = Session(Setup(tmp_path / "policies" / "mine"))
+    session.steer(1.0, 0.0)
+    assert session.step().actual.shape == (2,)
 
 
 def _remove(folder):
@@ -234,6 +250,20 @@ def test_a_report_of_a_bundle_is_not_written_into_it(bundle):
     asked = {"run": bundle, "command_range": "apply", "protocol": "endurance", "output": None}
     arguments = argparse.Namespace(**asked, robot=None, transporter=None)
     assert commands._report_folder(arguments) == Path("runs/a1-single_board/endurance")
+
+
+def test_the_card_has_the_sweeps_that_were_measured(bundle, tmp_path):
+    (tmp_path / "robustness").mkdir()
+    row = {"survival": 0.25, "survival_interval": [0.1, 0.5], "value": 9.0, "region": "beyond"}
+    sweep = {"unit": "kg", "training": [0.0, 1.0], "test": None, "rows": [row], "breaks_at": [9.0]}
+    metrics = {"n": 20, "seconds": 20.0, "command_seconds": 5.0, "push_seconds": 3.0, "baseline": row}
+    report = {**metrics, "parameters": {"payload": sweep}, "run": {"seed": 1}}
+    (tmp_path / "robustness" / "metrics.json").write_text(json.dumps(report))
+    text = card(tmp_path, read_manifest(bundle))
+    assert "| payload | - | - | 25% [10%, 50%] at 9 kg | 9 kg |" in text
+    (tmp_path / "run.json").write_text('{"seed": 2}')
+    with pytest.raises(torchrl_atr._errors.UserError, match=r"robustness/metrics\.json is of another training"):
+        check_scorecard(tmp_path)
 
 
 def test_a_scorecard_of_another_training_is_refused(tiny_run, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 from torchrl_atr._errors import InputError
 from torchrl_atr.deploy import Imu, PolicyRunner, without_gravity
 from torchrl_atr.deploy.manifest import EPISODE
+from torchrl_atr.deploy.readings import Units
 from torchrl_atr.deploy.runner import OnnxPolicy
 
 AT_REST = Imu(np.zeros(3), np.zeros(3), np.zeros(2))
@@ -98,6 +99,10 @@ WRONG = [
     ({"imu": (np.zeros(3), np.zeros(3))}, "imu: give Imu"),
     ({"imu": AT_REST._replace(acceleration=(0.0, np.inf, 0.0))}, r"imu.acceleration\[1\] is inf"),
     ({"imu": AT_REST._replace(orientation=(12.0, 1.0))}, "imu.orientation holds 12.0: degrees"),
+    (
+        {"imu": AT_REST._replace(orientation=(1.5, 0.0))},
+        "imu.orientation holds 1.50 at the start .* degrees",
+    ),
     ({"imu": AT_REST._replace(angular_velocity=(0.0, 90.0, 0.0))}, "degrees per second"),
     ({"imu": AT_REST._replace(acceleration=(0.0, 0.0, 9.8))}, "subtract gravity's reaction"),
     ({"joint_velocities": np.full(12, 200.0)}, "joint_velocities holds 200.0, more than 60 rad/s: degrees per second"),
@@ -128,6 +133,35 @@ def test_degrees_are_recognised(runner, q0):
 def test_another_joint_order_is_recognised_at_the_start(runner, q0, order):
     with pytest.raises(InputError, match="order, signs and zeros"):
         step(runner, q0, joint_positions=q0[order])
+
+
+DEGREES = [
+    ({"orientation"}, r"imu.orientation changes 57 times as fast as imu.angular_velocity: degrees"),
+    ({"angular_velocity"}, "imu.angular_velocity is 57 times the change of imu.orientation: degrees"),
+    ({"joint_velocity"}, "joint_velocities is 57 times the change of joint_positions: degrees"),
+    (set(), None),
+]
+
+
+@pytest.mark.parametrize(("wrong", "message"), DEGREES)
+def test_degrees_that_look_like_radians_are_recognised_by_their_rates(wrong, message):
+    """A sway of 0.15 rad at 0.5 Hz; the joints alike."""
+    units, dt = Units(0.02), 0.02
+
+    def ride():
+        for step in range(100):
+            angle, rate = 0.15 * np.sin(np.pi * step * dt), 0.15 * np.pi * np.cos(np.pi * step * dt)
+            values = {"orientation": (angle, 0.0), "angular_velocity": (rate, 0.0, 0.3), "joint_velocity": [rate] * 12}
+            given = {name: np.degrees(value) if name in wrong else np.array(value) for name, value in values.items()}
+            units.check(given, np.full(12, angle), given["joint_velocity"])
+
+    if message is None:
+        ride()
+    else:
+        with pytest.raises(InputError, match=message):
+            ride()
+    units.reset()
+    units.check({"orientation": np.zeros(2), "angular_velocity": np.zeros(3)}, np.zeros(12), np.zeros(12))
 
 
 def test_another_sign_is_recognised_at_the_start(runner, q0):

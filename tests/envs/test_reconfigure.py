@@ -50,6 +50,29 @@ def test_randomisation_changes_with_the_next_episode(env):
     torch.testing.assert_close(nominal, intrinsics.sample(ROBOTS, "off", torch.Generator()))
 
 
+def test_a_single_component_can_be_chosen(env):
+    env.reconfigure(randomization={"com_shift[1]": (0.3, 0.3)})
+    env.reset()
+    shift = env.runner.intrinsics.values(env.runner.x_int)["com_shift"]
+    assert shift[:, 1].tolist() == pytest.approx([0.3] * ROBOTS)
+    assert shift[:, [0, 2]].abs().max() <= 0.2
+    for name in ("com_shift[3]", "com_shift[x]"):
+        with pytest.raises(ValueError, match=r"is no component of 'com_shift'; give com_shift\[0\] to com_shift\[2\]"):
+            env.reconfigure(randomization={name: (0.0, 0.0)})
+
+
+def test_a_longer_delay_changes_with_the_next_episode(env):
+    env.reset()
+    env.reconfigure(sensors={"joint_position": {"delay": 3.0}})
+    env.reset()
+    stand(env, 4)
+    held = env.runner.sensor_errors.state["before of proprio"]
+    assert held.shape[-1] == 3 * env.observation_spec["proprio"].shape[-1]
+    env.reconfigure(sensors="realistic")
+    env.reset()
+    stand(env, 2)
+
+
 def test_sensor_errors_change_with_the_next_episode(env):
     env.reset()
     env.reconfigure(sensors={"orientation": {"noise": 0.1, "bias": 1.0, "bias_time": 10.0}})

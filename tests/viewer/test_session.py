@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from torchrl_atr._errors import UserError
+from torchrl_atr.modules import CommandRange
 from torchrl_atr.training import CheckpointError, load_checkpoint
 from torchrl_atr.training.checkpoint import NAME, save_checkpoint
 from torchrl_atr.viewer import Session, Setup
@@ -110,6 +111,16 @@ def test_the_policy_acts_on_the_truth_or_on_estimates(session):
     assert (session.time > time, session.builds) == (True, builds)  # the ride went on
     session.change(source="estimated")
     assert ("privileged", "extrinsic") not in session._policy.in_keys
+
+
+@pytest.mark.parametrize("source", ["estimated", "privileged"])
+def test_commands_are_clipped_to_the_policys_range_whatever_it_acts_on(session, source):
+    session.networks.command_range = CommandRange(0.0, 0.0)
+    session.change(source="privileged" if source == "estimated" else "estimated")
+    session.change(source=source)
+    still, fast = (session._td.clone() for _ in range(2))
+    fast["command"][:] = fast["observation"][:, -2:] = torch.tensor([2.0, 1.0])
+    assert torch.equal(session._policy(still)["loc"], session._policy(fast)["loc"])
 
 
 def test_sensors_and_a_broken_policy(session, tmp_path):

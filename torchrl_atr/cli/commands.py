@@ -26,7 +26,7 @@ from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
 from torchrl_atr.cli.reproduce import reproduce
 from torchrl_atr.cli.summary import next_commands, run_figures
 from torchrl_atr.cli.view import demo, view
-from torchrl_atr.deploy.manifest import is_bundle
+from torchrl_atr.deploy.manifest import is_bundle, report_home
 from torchrl_atr.listings import LISTINGS, settings_page
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
 
     fill_options(arguments)
-    output = _report_folder(arguments)
+    arguments.output = output = _report_folder(arguments)
     other = other_model(arguments)
     imports = arguments.imports or ()
     config, env, networks, state = load_run(arguments.run, checkpoint_file(arguments), imports, num_envs=1, **other)
@@ -169,13 +169,11 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
     """Return the folder of the report; the run's own is for the robot and transporter that it was trained on."""
     from torchrl_atr.training import ConfigError
 
-    home = arguments.run
-    if is_bundle(home):  # its files are those of its manifest
-        if arguments.command_range == "record":
-            raise ConfigError(
-                f"--command-range record: {home} is a policy bundle; record it in the run, and export that"
-            )
-        home = Path("runs") / home.resolve().name
+    home = report_home(arguments.run)
+    if is_bundle(arguments.run) and arguments.command_range == "record":
+        raise ConfigError(
+            f"--command-range record: {arguments.run} is a policy bundle; record it in the run, and export that"
+        )
     own = home if arguments.protocol == "tracking" else home / arguments.protocol
     output = arguments.output or own
     for name, value in other_model(arguments).items():

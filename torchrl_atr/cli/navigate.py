@@ -9,6 +9,7 @@ from typing import Any
 
 from torchrl_atr._files import folder_for, say, whole
 from torchrl_atr.cli.printing import step_progress
+from torchrl_atr.deploy.manifest import report_home
 
 _LINES = (
     ("success", "share at the goal"),
@@ -42,7 +43,7 @@ def add_navigate(parser: argparse.ArgumentParser, number_in: Any, seed: Any, pat
     parser.add_argument("--margin", type=number_in(float, 0, 100), default=0.8, help="to obstacles, m; default: 0.8")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--sensors", metavar="NAME", help="default: the run's")
-    parser.add_argument("--output", type=path, help="default: RUN/navigation/MAP")
+    parser.add_argument("--output", type=path, help="default: RUN/navigation/MAP, of a policy runs/NAME/navigation/MAP")
 
 
 def navigate(arguments: argparse.Namespace) -> None:
@@ -55,7 +56,7 @@ def navigate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
 
     where = load_map(arguments.map, arguments.resolution)
-    output = arguments.output or arguments.run / "navigation" / where.name
+    output = arguments.output or report_home(arguments.run) / "navigation" / where.name
     config, env, networks, state = load_run(arguments.run, None, (), num_envs=1)
     footprint = footprint_of(env)
     env.close()

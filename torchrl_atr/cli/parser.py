@@ -22,7 +22,9 @@ from torchrl_atr.listings import LISTINGS
 
 _PROTOCOL_HELP = (
     "tracking: 10 s of every command of a grid; paper: the same over the paper's commands, ±15 m/s × ±2 rad/s, in the "
-    "test range; endurance: minutes of random commands, one after the other, and pushes"
+    "test range; endurance: minutes of random commands, one after the other, and pushes; robustness: short rides of "
+    "that kind, one parameter at a time from training to beyond the test range; compatibility: on the robots and "
+    "transporters of its size class"
 )
 
 
@@ -157,11 +159,17 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
     grid.add_argument("--yaw-rate-step", type=_number(float, 0.001, 100), help=step_text)
     robots_text = "default: 8; of paper: 1"
     grid.add_argument("--robots-per-command", type=_number(int, 1, 100_000), metavar="N", help=robots_text)
-    endurance = parser.add_argument_group("--protocol endurance")
-    endurance.add_argument("--robots", type=_number(int, 1, 100_000), metavar="N", help="default: 200")
-    endurance.add_argument("--seconds", type=_number(float, 1, 86400), help="of a ride; default: 60")
+    endurance = parser.add_argument_group("--protocol endurance, robustness and compatibility")
+    endurance.add_argument(
+        "--robots", type=_number(int, 1, 100_000), metavar="N", help="of a ride; default: 200, or 100"
+    )
+    endurance.add_argument("--seconds", type=_number(float, 1, 86400), help="of a ride; default: 60 or 20")
     endurance.add_argument("--command-seconds", type=_number(float, 2.02, 86400), help="of a command; default: 5")
     endurance.add_argument("--no-pushes", dest="pushes", action="store_const", const=False, help="leave pushes out")
+    text = "of robustness: those to vary, such as payload com_shift[0] action_delay; default: all"
+    endurance.add_argument("--parameters", nargs="+", metavar="NAME", help=text)
+    text = "of compatibility: what to ride, such as go1/two_board; default: all pairs of the size class"
+    endurance.add_argument("--on", nargs="+", metavar="ROBOT/TRANSPORTER", help=text)
 
 
 def _add_checkpoint(parser: argparse.ArgumentParser) -> None:

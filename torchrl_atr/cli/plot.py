@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from torchrl_atr._errors import UserError
 from torchrl_atr._files import folder_for, say
+from torchrl_atr.deploy.manifest import find_policy, is_bundle, report_home
 
 
 def add_plot(parser: argparse.ArgumentParser, path: Any) -> None:
@@ -22,6 +24,13 @@ def plot(arguments: argparse.Namespace) -> None:
     """Run ``torchrl-atr plot``."""
     from torchrl_atr.evaluation.set_figures import group_runs, plot_sets
 
+    for text in arguments.runs:
+        folder = find_policy(text.rpartition("=")[2])
+        if is_bundle(folder):
+            raise UserError(
+                f"{folder} is a policy bundle, which holds no log and no trials; give the run that it was exported "
+                f"from, or {report_home(folder)} after `torchrl-atr evaluate {folder}`"
+            )
     sets = group_runs(arguments.runs)
     with folder_for(arguments.output) as folder:
         written = plot_sets(sets, folder, arguments.format, arguments.curves)

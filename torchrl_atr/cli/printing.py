@@ -122,6 +122,34 @@ def _endurance_line(
     return line if still is None else f"{line}{number(still, 14, 3)}"
 
 
+def robustness_lines(metrics: dict[str, Any]) -> Iterator[str]:
+    """Yield lines of a robustness evaluation: by parameter the smallest share up by range, and where it breaks."""
+    up = metrics["baseline"]["survival"]
+    yield f"{'up at the end, share':24}{'training':>10}{'test':>10}{'beyond':>10}  less than half of {up:.3f} from"
+    for name, sweep in metrics["parameters"].items():
+        shares: dict[str, list[float]] = {}
+        for row in sweep["rows"]:
+            shares.setdefault(row["region"], []).append(row["survival"])
+        cells = [number(min(shares.get(region, []), default=None), 10, 3) for region in ("training", "test", "beyond")]
+        ends = [
+            f"{value:g} {sweep['unit']}".strip() if isinstance(value, float) else value for value in sweep["breaks_at"]
+        ]
+        yield f"{name.replace('_', ' '):24}{''.join(cells)}  {', '.join(ends) or '-'}"
+
+
+def compatibility_lines(metrics: dict[str, Any]) -> Iterator[str]:
+    """Yield lines of a compatibility evaluation: share up and errors on each pair."""
+    yield f"{'':32}{'up, share':>10}{'95 % interval':>20}{'speed, m/s':>12}{'yaw, rad/s':>12}"
+    for cell in metrics["cells"]:
+        pair = f"{cell['robot']} on {cell['transporter']}"
+        if "refused" in cell:
+            yield f"{pair:32}  {cell['refused']}"
+            continue
+        ends = ", ".join(number(end, 8, 3).strip() for end in cell["survival_interval"])
+        errors = "".join(number(cell[f"settled_{name}_error"], 12, 3) for name in ("speed", "yaw"))
+        yield f"{pair:32}{number(cell['survival'], 10, 3)}{f'[{ends}]':>20}{errors}"
+
+
 def estimator_lines(errors: dict[str, Any] | None) -> Iterator[str]:
     """Yield lines of Table V: the estimates' errors by component; none without estimates.
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from torchrl_atr.cli.printing import endurance_lines, estimator_lines, headlines
+from torchrl_atr.cli.sweeps import SHORT_RIDE, compatibility, overspeed_of, robustness
 
 if TYPE_CHECKING:
     from torchrl_atr.envs.transforms import CommandGrid
@@ -22,7 +23,7 @@ Progress = Callable[[int, int], None]
 class Measured(NamedTuple):
     """Outcome of a protocol: result and metrics, the function that writes the report, and the lines to print."""
 
-    result: TrackingResult | EnduranceResult
+    result: TrackingResult | EnduranceResult | dict[str, Any]
     metrics: dict[str, Any]
     write: Callable[[Path], Any]
     lines: list[str]
@@ -49,8 +50,12 @@ def fill_options(arguments: argparse.Namespace) -> None:
     from torchrl_atr.cli.parser import option
     from torchrl_atr.training import ConfigError
 
-    if arguments.command_range == "record" and arguments.protocol == "endurance":
+    if arguments.command_range == "record" and PROTOCOLS[arguments.protocol].measure is not tracking:
         raise ConfigError("--command-range record: commands are found mastered one by one; take --protocol tracking")
+    if arguments.protocol == "compatibility":
+        for name in ("robot", "transporter"):
+            if getattr(arguments, name) is not None:
+                raise ConfigError(f"--{name}: --protocol compatibility takes pairs; give --on ROBOT/TRANSPORTER")
     own = PROTOCOLS[arguments.protocol].options
     for protocol, other in PROTOCOLS.items():
         given = [option(name) for name in other.options if name not in own and getattr(arguments, name) is not None]
@@ -94,9 +99,7 @@ def endurance(
 ) -> Measured:
     """Measure how long robots stay up under changing commands and pushes, and how well they track meanwhile."""
     from torchrl_atr.evaluation import endurance_metrics, evaluate_endurance, write_endurance
-    from torchrl_atr.evaluation.endurance import OVERSPEED
 
-    overspeed = (margin[0], margin[1]) if (margin := config.env.overspeed_margin) else OVERSPEED
     result = evaluate_endurance(
         networks.deployed_policy(arguments.act_source),
         partial(make_env, pushes=arguments.pushes),
@@ -106,7 +109,7 @@ def endurance(
         max_speed=arguments.max_speed,
         max_yaw_rate=arguments.max_yaw_rate,
         seed=arguments.seed,
-        overspeed=overspeed,
+        overspeed=overspeed_of(config),
         encoder_module=networks.encoder_module,
         progress=progress,
     )
@@ -154,6 +157,8 @@ PROTOCOLS: dict[str, Protocol] = {
     "tracking": Protocol(tracking, _TRACKING),
     "paper": Protocol(tracking, _PAPER),
     "endurance": Protocol(endurance, _ENDURANCE),
+    "robustness": Protocol(robustness, {**SHORT_RIDE, "parameters": None}),
+    "compatibility": Protocol(compatibility, {**SHORT_RIDE, "on": None}),
 }
 """Protocols by the name that ``--protocol`` takes. ``paper`` is the paper's evaluation: one robot of the test range at
 each of 12,341 commands, 10 s from rest."""

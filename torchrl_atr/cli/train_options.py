@@ -96,7 +96,7 @@ def _path(name: str, text: str | None) -> Path | None:
     path = Path(text)
     if name in ("resume", "start") and path.is_file():
         raise ConfigError(f"{option(name)}: {path} is a file; give the folder of a run, such as {path.parent}")
-    return find_policy(path) if name == "start" else path
+    return find_policy(path) if name in ("resume", "start") else path  # a bundle is refused by name, too
 
 
 def _entries(words: list[str]) -> tuple[dict[str, str], list[str]]:

@@ -3,26 +3,38 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from torchrl_atr._errors import UserError
+from torchrl_atr.evaluation.compatibility import compatibility_table
+from torchrl_atr.evaluation.robustness import robustness_table
 from torchrl_atr.training.provenance import cores
 
 _SCORECARD = "scorecard.json"
-_REMEDY = "measure it anew with `python -m benchmarks.scorecard RUN` from a clone, or remove it"
+_SWEEPS: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], list[str]]]] = {
+    "robustness": ("Robustness: one parameter at a time, all others of the training range", robustness_table),
+    "compatibility": ("On other robots and transporters", compatibility_table),
+}
+"""Title and table of further reports, by the protocol of ``evaluate`` and the folder in the run."""
 
 
 def check_scorecard(run: Path) -> None:
-    """Check that a run's scorecard, if it has one, is of this training.
+    """Check that a run's scorecard and sweeps, where it has any, are of this training.
 
     Raises:
-        UserError: if it is of another one.
+        UserError: if one is of another training.
     """
-    scorecard, trained = _read(run / _SCORECARD), _read(run / "run.json")
-    if scorecard is not None and trained is not None and scorecard.get("run") != trained:
-        raise UserError(f"{run / _SCORECARD} is of another training than {run / 'run.json'}; {_REMEDY}")
+    trained = _read(run / "run.json")
+    again = {f"{name}/metrics.json": f"`torchrl-atr evaluate RUN --protocol {name}`" for name in _SWEEPS}
+    for file, command in {_SCORECARD: "`python -m benchmarks.scorecard RUN` from a clone", **again}.items():
+        report = _read(run / file)
+        if report is not None and trained is not None and report.get("run") != trained:
+            raise UserError(
+                f"{run / file} is of another training than {run / 'run.json'}; measure it anew with {command}, or "
+                "remove it"
+            )
 
 
 def figures(run: Path) -> dict[str, Any] | None:
@@ -72,7 +84,18 @@ def card(run: Path, manifest: Mapping[str, Any]) -> str:
         lines += ["## Measured", "", *(line for line in measured if not line.startswith("Trained by ")), ""]
     else:
         lines += ["## Measured", "", "Nothing yet: the run had no scorecard when it was exported.", ""]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_sweeps(run)])
+
+
+def _sweeps(run: Path) -> list[str]:
+    """Return the tables of the sweeps that a run has been measured by."""
+    lines: list[str] = []
+    for protocol, (title, table) in _SWEEPS.items():
+        metrics = _read(run / protocol / "metrics.json")
+        if metrics is not None:
+            lines += [f"## {title}", "", f"`torchrl-atr evaluate RUN --protocol {protocol}`: {table(metrics)[0]}"]
+            lines += [*table(metrics)[1:], ""]
+    return lines
 
 
 def _sensors(manifest: Mapping[str, Any]) -> str:

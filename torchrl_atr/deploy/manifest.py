@@ -55,6 +55,16 @@ def find_policy(run: str | Path) -> Path:
     return path if path.exists() else policies().get(str(run), path)
 
 
+def report_home(run: Path) -> Path:
+    """Return the folder for reports about a run: itself, or ``runs/NAME`` for a bundle, whose files are sealed.
+
+    Example:
+        >>> report_home(Path("runs/ride")).as_posix()
+        'runs/ride'
+    """
+    return Path("runs") / run.resolve().name if is_bundle(run) else run
+
+
 def is_bundle(folder: Path) -> bool:
     """Return whether a folder holds a manifest."""
     return (folder / MANIFEST).is_file()

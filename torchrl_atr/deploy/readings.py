@@ -23,6 +23,14 @@ BEYOND_RANGE = 0.5
 """Largest excess of a joint over its range, rad."""
 
 
+STANDING_TILT = 0.5
+"""Largest roll or pitch at the start of an episode, rad."""
+_VISIBLE = 5.0
+"""Mean rate that is no noise, rad/s: 0.1 rad/s in degrees."""
+UNIT_STEPS, UNIT_RATIO = 50, 10.0
+"""Control steps over which rates are compared with the changes of angles, and the ratio from which the units differ."""
+
+
 class Imu(NamedTuple):
     """Reading of an IMU in the body frame: x forward, y left, z up.
 
@@ -69,6 +77,55 @@ class Clock:
                 f"the last {RATE_STEPS} steps came every {1e3 * mean:.1f} ms; call step() every "
                 f"{1e3 * self.period:.0f} ms, at {1.0 / self.period:g} Hz, with the time in seconds"
             )
+
+
+class Units:
+    """Check that rates are those of the angles: one reading may be degrees that look like radians, a second's are not.
+
+    Args:
+        period: of the control steps, s.
+
+    Example:
+        >>> units, still = Units(0.02), np.zeros(12, np.float32)
+        >>> units.check({"orientation": still[:2], "angular_velocity": still[:3]}, still, still)
+    """
+
+    def __init__(self, period: float) -> None:
+        self.period = period
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the readings before."""
+        self._before: tuple[Array, Array] | None = None
+        self._squares: list[tuple[float, ...]] = []
+
+    def check(self, imu: Mapping[str, Array], position: Array, velocity: Array) -> None:
+        """Note a reading, and compare those of the last second.
+
+        Raises:
+            InputError: names angles and rates of which one is in degrees.
+        """
+        before, self._before = self._before, (imu["orientation"], position)
+        if before is None:
+            return
+        turn, moved = ((now - then) / self.period for now, then in zip(self._before, before))
+        rates = turn, imu["angular_velocity"][:2], moved, velocity
+        self._squares = [*self._squares, tuple(float(np.square(rate).mean()) for rate in rates)][-UNIT_STEPS:]
+        if len(self._squares) < UNIT_STEPS:
+            return
+        turning, gyro, moving, fast = np.sqrt(np.mean(self._squares, axis=0))
+        _compare_rates("imu.orientation", turning, "imu.angular_velocity", gyro)
+        _compare_rates("joint_positions", moving, "joint_velocities", fast)
+
+
+def _compare_rates(angle: str, change: float, name: str, rate: float) -> None:
+    """Raise an InputError if one of two rates, rad/s, is so much larger that it can only be in degrees."""
+    if rate > max(_VISIBLE, UNIT_RATIO * change):
+        raise InputError(f"{name} is {rate / max(change, 1e-9):.0f} times the change of {angle}: degrees? give rad/s")
+    if change > max(_VISIBLE, UNIT_RATIO * rate):
+        raise InputError(
+            f"{angle} changes {change / max(rate, 1e-9):.0f} times as fast as {name}: degrees? give radians"
+        )
 
 
 def without_gravity(specific_force: ArrayLike, roll: float, pitch: float) -> NDArray[np.float64]:
@@ -152,6 +209,12 @@ def check_start(manifest: Mapping[str, Any], imu: Mapping[str, Array], position:
         raise InputError(
             f"joint_positions: {joints[worst]['name']} is {off[worst]:+.2f} rad off q0 at the start of an episode; let "
             f"the robot stand in q0 first, and check order, signs and zeros of the joints: {_names(manifest)}"
+        )
+    tilt = float(np.abs(imu["orientation"]).max())
+    if tilt > STANDING_TILT:
+        raise InputError(
+            f"imu.orientation holds {tilt:.2f} at the start of an episode, in which the robot stands on level boards: "
+            "degrees, or mounted at an angle? give roll and pitch of the body in rad, and let the robot stand first"
         )
     up = -without_gravity((0.0, 0.0, 0.0), *(float(angle) for angle in imu["orientation"])) / GRAVITY
     included = bool(manifest["imu"]["gravity_included"])

@@ -12,7 +12,17 @@ from numpy.typing import ArrayLike
 
 from torchrl_atr._errors import InputError, MissingPackageError
 from torchrl_atr.deploy.manifest import POLICY, find_policy, read_manifest
-from torchrl_atr.deploy.readings import Array, Clock, Imu, check_imu, check_joints, check_robot, check_start, checked
+from torchrl_atr.deploy.readings import (
+    Array,
+    Clock,
+    Imu,
+    Units,
+    check_imu,
+    check_joints,
+    check_robot,
+    check_start,
+    checked,
+)
 
 
 class Gains(NamedTuple):
@@ -106,13 +116,15 @@ class PolicyRunner:
         self.strict = strict
         self._policy = OnnxPolicy(bundle, self.manifest)
         self._gains = Gains(*(self._of_joints(name) for name in ("kp", "kd")))
-        self._clock, self._warned = Clock(1.0 / self.manifest["control"]["rate_hz"]), False
+        period = 1.0 / self.manifest["control"]["rate_hz"]
+        self._clock, self._units, self._warned = Clock(period), Units(period), False
         self.reset()
 
     def reset(self) -> None:
         """Begin an episode with the next step."""
         self._start = True
         self._clock.reset()
+        self._units.reset()
         self.command: Array = np.zeros(len(self.manifest["command"]["names"]), np.float32)
         self.estimates: dict[str, Array] = {}
 
@@ -167,6 +179,7 @@ class PolicyRunner:
         check_joints(self.manifest, readings["joint_position"], readings["joint_velocity"])
         if self._start:
             check_start(self.manifest, readings, readings["joint_position"])
+        self._units.check(readings, readings["joint_position"], readings["joint_velocity"])
         return readings
 
     def _clipped(self, asked: Array, followed: Array, state: dict[str, Array]) -> None:

@@ -18,6 +18,7 @@ from torchrl_atr.envs.models import (
     read_transporter,
     register_robot,
 )
+from torchrl_atr.envs.physics import Simulation
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks import RIDING_REWARDS, RewardError, RewardTerm, Task, make_task, riding, walking
 from torchrl_atr.envs.workers import reconfigure
@@ -36,6 +37,7 @@ __all__ = [
     "RidingEnv",
     "RobotError",
     "RobotSpec",
+    "Simulation",
     "Task",
     "TransporterError",
     "TransporterSpec",

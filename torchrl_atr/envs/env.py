@@ -18,7 +18,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr._threads import one_torch_thread_if_small
 from torchrl_atr.envs.models import Scene, build_scene
-from torchrl_atr.envs.physics import DECIMATION, Engine, EngineName, make_engine
+from torchrl_atr.envs.physics import Engine, EngineName, Simulation, make_engine
 from torchrl_atr.envs.recorder import FlightRecorder, describe_scene
 from torchrl_atr.envs.specs import flag, nested, observation_spec, values
 from torchrl_atr.envs.tasks.finite import as_float32, not_finite
@@ -46,7 +46,7 @@ class QuadrupedEnv(Reconfigurable, EnvBase):
         task: what is observed, rewarded, randomised, reset and ended, such as
             :func:`~torchrl_atr.envs.tasks.riding` or your own.
         num_envs: N.
-        physics: ``"batch"`` (N robots, all CPUs) or ``"dm_control"`` (one robot, the reference).
+        physics: ``"batch"`` (N robots, all CPUs), ``"dm_control"`` (one robot, the reference), or a ``Simulation``.
         randomization: ``"train"`` or ``"test"`` range of the intrinsic parameters, or ``"off"``.
         num_threads: physics threads; None for the CPUs this process may use.
         failed_episode_replay: share of the failures after which the same robot, with the intrinsics it failed with,
@@ -94,7 +94,7 @@ class QuadrupedEnv(Reconfigurable, EnvBase):
         self,
         task: Task,
         num_envs: int = 256,
-        physics: EngineName = "batch",
+        physics: EngineName | Simulation = "batch",
         randomization: Randomization = "train",
         num_threads: int | None = None,
         failed_episode_replay: float = 0.0,
@@ -225,7 +225,7 @@ class QuadrupedEnv(Reconfigurable, EnvBase):
         self.runner.apply_action(action)
         if self._recorder is not None:
             self._recorder.note(action)
-        self.engine.advance(DECIMATION)
+        self.engine.advance()
         outcome = self.runner.evaluate_step(command)
         self._emitted = outcome.observed
         self._terminate_failed(outcome)

@@ -13,7 +13,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._registry import nearest
 from torchrl_atr.envs.env import QuadrupedEnv
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec
-from torchrl_atr.envs.physics import EngineName
+from torchrl_atr.envs.physics import EngineName, Simulation
 from torchrl_atr.envs.tasks import RewardError, Task, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 from torchrl_atr.envs.tasks.reconfiguration import Reconfigurable
@@ -33,7 +33,7 @@ def make_env(
     task: Task,
     num_envs: int = 256,
     *,
-    physics: EngineName = "batch",
+    physics: EngineName | Simulation = "batch",
     randomization: Randomization = "train",
     num_threads: int | None = None,
     failed_episode_replay: float = 0.0,

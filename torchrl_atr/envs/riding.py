@@ -8,7 +8,7 @@ from typing import Any
 from torchrl_atr.envs.env import QuadrupedEnv
 from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import RobotSpec, TransporterSpec
-from torchrl_atr.envs.physics import EngineName
+from torchrl_atr.envs.physics import EngineName, Simulation
 from torchrl_atr.envs.tasks import riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 
@@ -38,7 +38,7 @@ class RidingEnv(QuadrupedEnv):
         robot: str | Path | RobotSpec = "a1",
         transporter: str | Path | TransporterSpec = "single_board",
         num_envs: int = 256,
-        physics: EngineName = "batch",
+        physics: EngineName | Simulation = "batch",
         randomization: Randomization = "train",
         profile: str | Interpretation = "default",
         num_threads: int | None = None,

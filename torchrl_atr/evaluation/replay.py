@@ -15,7 +15,7 @@ from torchrl_atr._files import atomic
 from torchrl_atr._registry import UnknownNameError
 from torchrl_atr.envs import Interpretation, QuadrupedEnv, make_task
 from torchrl_atr.envs.models.identity import describe, differences, first_few
-from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
+from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.tasks import TASKS
 from torchrl_atr.evaluation.rendering import OffscreenRenderer
@@ -114,7 +114,7 @@ def _steps(env: QuadrupedEnv, dump: dict[str, Any]) -> Iterator[ReplayedStep]:
         env.runner.set_state({**idle, **begun, "x_int": dump["x_int"].unsqueeze(0)})
         # any time but 0: MuJoCo sets it to 0 where it resets a simulation, which is how that is detected
         engine.set_time(torch.tensor([float(dump["step"])], dtype=torch.float64))
-        engine.advance(DECIMATION)
+        engine.advance()
         speeds = env.runner.observe(command).get("speeds", unknown)[0]
         last = index == len(actions) - 1
         yield ReplayedStep(

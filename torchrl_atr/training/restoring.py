@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from torchrl_atr._errors import InputError, UserError, first_line
 from torchrl_atr._registry import import_modules
+from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.envs.models import Scene
 from torchrl_atr.envs.models.identity import PARTS, describe, differences, first_few
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
@@ -60,12 +61,13 @@ def check_entries(state: Mapping[str, Any], run: Path) -> None:
 
 
 def read_other(start: Path, run: Path) -> dict[str, Any]:
-    """Return the checkpoint of the run in ``start``, that a new one in ``run`` begins from, and its folder as ``run``.
+    """Return the checkpoint of the run or policy ``start``, that one in ``run`` begins from, and its folder as ``run``.
 
     Raises:
         ConfigError: if they are one.
         CheckpointError: if there is no whole checkpoint.
     """
+    start = find_policy(start)
     if start.resolve() == run.resolve():
         raise ConfigError(f"{run}: a run cannot replace the one that it begins from; give another --output")
     state = load_checkpoint(start)

@@ -171,7 +171,7 @@ class Session:
     def _choose_policy(self) -> None:
         networks = self.networks
         truth = self.setup.source == "privileged"
-        self._policy = networks.rollout_policy("privileged") if truth else networks.deployed_policy()
+        self._policy = networks.deployed_policy(self.setup.source)  # commands are clipped to its range in either case
         self._estimator = networks.extrinsic_estimator_module if truth else None
         self.env = with_state(self.env, self._policy)
 

@@ -125,7 +125,7 @@ def test_groups_nest_as_deep_as_one_likes():
         ({"function": 3}, "function=3 of an observation term cannot be called"),
         ({"noise": -0.1}, "noise=-0.1"),
         ({"bias": float("nan")}, "bias=nan"),
-        ({"delay": 1.5}, "delay=1.5"),
+        ({"delay": 51.0}, "delay=51.0"),
     ],
 )
 def test_a_number_out_of_range_is_named_where_it_is_written(arguments, message):
@@ -176,6 +176,22 @@ def test_a_delayed_value_lies_between_the_step_before_and_now_by_a_share_of_the_
         td = env.step(td.set("action", 0.05 * torch.randn(300, 12, generator=generator)))["next"]
         torch.testing.assert_close(td["late"], (1.0 - share) * td["prompt"] + share * before)
         before = td["prompt"]
+
+
+def test_a_delay_of_several_steps_lies_between_the_two_steps_around_it():
+    late = ObservationTerm(lambda c: c.state.joint_velocity, delay=2.5)
+    prompt = ObservationTerm(lambda c: c.state.joint_velocity)
+    env = make(STILL.with_observation("late", v=late).with_observation("prompt", v=prompt), 60)
+    td, generator = env.reset(), torch.Generator().manual_seed(0)
+    seen = [td["prompt"]] * 4  # before the start, everything was as at the start
+    share = 2.5 * env.runner.sensor_errors.state["delay of late"]
+    assert share.max() > 2.0
+    for _ in range(6):
+        td = env.step(td.set("action", 0.05 * torch.randn(60, 12, generator=generator)))["next"]
+        seen = [td["prompt"], *seen[:3]]
+        values, whole = torch.stack(seen), share.floor().long().squeeze(-1)
+        rows = torch.arange(60)
+        torch.testing.assert_close(td["late"], values[whole, rows].lerp(values[whole + 1, rows], share.frac()))
 
 
 def test_a_bias_that_wanders_keeps_its_standard_deviation_and_forgets_in_its_correlation_time():

@@ -31,6 +31,7 @@ class BatchEngine(Engine):
         num_envs: N.
         make_hook: see :class:`Engine`.
         num_threads: physics threads; None for the CPUs this process may use.
+        action_delay: see :class:`Engine`.
 
     Raises:
         ValueError: if ``num_threads`` is below one.
@@ -51,9 +52,10 @@ class BatchEngine(Engine):
         num_envs: int,
         make_hook: Callable[[Engine], SubstepHook] | None = None,
         num_threads: int | None = None,
+        action_delay: float = 0.0,
     ) -> None:
         self._num_threads = check_whole("num_threads", num_threads, low=1, optional=True)
-        super().__init__(scene, num_envs, make_hook)
+        super().__init__(scene, num_envs, make_hook, action_delay)
         stand = scene.model.key(STAND)
         self._restart(torch.arange(num_envs), torch.from_numpy(stand.qpos), torch.from_numpy(stand.qvel))
 
@@ -102,7 +104,7 @@ class BatchEngine(Engine):
 
     @property
     def _arguments(self) -> tuple[Any, ...]:
-        return self.scene, self.num_envs, self.make_hook, self._num_threads
+        return self.scene, self.num_envs, self.make_hook, self._num_threads, self.action_delay
 
     def set_time(self, time: Tensor) -> None:
         """Write the simulation time, see :class:`Engine`."""

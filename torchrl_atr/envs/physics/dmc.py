@@ -58,6 +58,7 @@ class DmControlEngine(Engine):
     Args:
         scene: the compiled scene; the engine randomises a copy of its model.
         make_hook: see :class:`Engine`.
+        action_delay: likewise.
 
     Attributes:
         physics: the dm_control physics.
@@ -71,8 +72,10 @@ class DmControlEngine(Engine):
         0.02
     """
 
-    def __init__(self, scene: Scene, make_hook: Callable[[Engine], SubstepHook] | None = None) -> None:
-        super().__init__(scene, 1, make_hook)
+    def __init__(
+        self, scene: Scene, make_hook: Callable[[Engine], SubstepHook] | None = None, action_delay: float = 0.0
+    ) -> None:
+        super().__init__(scene, 1, make_hook, action_delay)
         self._restart(torch.arange(1), self.qpos.clone(), self.qvel.clone())
 
     def _make(self) -> None:
@@ -95,7 +98,7 @@ class DmControlEngine(Engine):
         """Simulation time, see :class:`Engine`."""
         return torch.tensor([self._data.time], dtype=torch.float64)
 
-    def advance(self, substeps: int) -> None:
+    def advance(self, substeps: int | None = None) -> None:
         """Advance, see :class:`Engine`; leave position and velocity quantities current, as dm_control does."""
         super().advance(substeps)
         mujoco.mj_step1(self._model, self._data)
@@ -138,7 +141,7 @@ class DmControlEngine(Engine):
 
     @property
     def _arguments(self) -> tuple[Any, ...]:
-        return self.scene, self.make_hook
+        return self.scene, self.make_hook, self.action_delay
 
     def set_time(self, time: Tensor) -> None:
         """Write the simulation time, see :class:`Engine`."""

@@ -17,10 +17,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from torchrl_atr._errors import InputError
 from torchrl_atr._threads import one_torch_thread
 from torchrl_atr.envs.models.scene import TIMESTEP, Scene, columns
+from torchrl_atr.envs.physics.fields import ModelFields as ModelFields
 from torchrl_atr.envs.physics.hook import SubstepHook, check_hook
+from torchrl_atr.envs.physics.target_delay import TargetDelay
 
 DECIMATION = 4
 """Simulation substeps in a control step: 200 Hz and 50 Hz."""
@@ -35,40 +36,6 @@ _STATE = ("qpos", "qvel", "ctrl", "warmstart", "world_offset")
 """Attributes that make up an engine's state, besides its hook's."""
 
 
-class ModelFields(dict[str, Tensor]):
-    """Mapping of fields of the compiled model, such as ``body_mass``, of several simulations, (N, ...) each.
-
-    A field is created at its first access; values assigned to it are written in place.
-
-    Args:
-        expand: makes a field one per simulation, by name.
-
-    Raises:
-        InputError: for a name that is not a field which can differ between simulations, or values of another shape.
-    """
-
-    def __init__(self, expand: Callable[[str], Tensor]) -> None:
-        super().__init__()
-        self._expand = expand
-
-    def __missing__(self, name: str) -> Tensor:
-        try:
-            super().__setitem__(name, self._expand(name))
-        except (ValueError, AttributeError, TypeError) as error:
-            raise InputError(
-                f"{name!r} is no field of the compiled model that can differ between simulations; see mujoco.MjModel, "
-                "such as 'body_mass' or 'geom_friction'"
-            ) from error
-        return self[name]
-
-    def __setitem__(self, name: str, value: Tensor) -> None:
-        field = self[name]
-        if tuple(value.shape) != tuple(field.shape):
-            raise InputError(f"the field {name!r} is of {tuple(field.shape)}, not {tuple(value.shape)}")
-        if value is not field:  # the same after an operation in place
-            field.copy_(value)
-
-
 class Engine(ABC):
     """Engine: N simulations of one scene, advanced by control steps.
 
@@ -79,6 +46,7 @@ class Engine(ABC):
         num_envs: N.
         make_hook: called with the engine, returns the hook that acts before every substep; None for nothing. It must be
             picklable where engines are copied or sent to other processes.
+        action_delay: time after which joint targets take effect, s.
 
     Attributes:
         device: of all tensors.
@@ -106,8 +74,18 @@ class Engine(ABC):
     actuator_force: Tensor
     fields: ModelFields
 
-    def __init__(self, scene: Scene, num_envs: int, make_hook: Callable[[Engine], SubstepHook] | None = None) -> None:
-        self.scene, self.num_envs, self.make_hook = scene, num_envs, make_hook
+    def __init__(
+        self,
+        scene: Scene,
+        num_envs: int,
+        make_hook: Callable[[Engine], SubstepHook] | None = None,
+        action_delay: float = 0.0,
+    ) -> None:
+        self.scene, self.num_envs, self.make_hook, self.action_delay = scene, num_envs, make_hook, action_delay
+        self.timestep = float(scene.model.opt.timestep)
+        self.decimation, late = round(CONTROL_DT / self.timestep), round(action_delay / self.timestep)
+        stand = torch.tensor(scene.robot.q0, dtype=torch.float64)
+        self._delay = TargetDelay(late, self.decimation, stand, num_envs) if late else None
         layout = scene.layout
         self._joints, self._actuators = columns(layout.joint_dof), columns(layout.actuators)
         self._origin = columns(layout.origin_qpos)
@@ -145,31 +123,37 @@ class Engine(ABC):
         """Recompute all derived quantities from the state (after it was written from outside)."""
 
     def step(self, targets: Tensor) -> None:
-        """Make one control step: :meth:`command`, then ``DECIMATION`` substeps.
+        """Make one control step: :meth:`command`, then :meth:`advance`.
 
         Args:
             targets: joint targets in the spec's joint order, rad, (N, 12).
         """
         self.command(targets)
-        self.advance(DECIMATION)
+        self.advance()
 
     def command(self, targets: Tensor) -> None:
         """Begin a control step: recentre and hand the PD controllers their targets, rad, (N, 12)."""
         self._recentre()
-        self.ctrl[:, self._actuators] = targets
+        if self._delay is None:
+            self.ctrl[:, self._actuators] = targets
+        else:
+            self._delay.give(targets)
 
-    def advance(self, substeps: int) -> None:
-        """Make ``substeps`` of hook and simulation step; note which simulations diverged."""
-        warned, expected = self._warnings()[:, _DIVERGED].copy(), self.time + substeps * TIMESTEP
+    def advance(self, substeps: int | None = None) -> None:
+        """Make substeps of hook and simulation step, None for a control step; note which simulations diverged."""
+        substeps = self.decimation if substeps is None else substeps
+        warned, expected = self._warnings()[:, _DIVERGED].copy(), self.time + substeps * self.timestep
         with one_torch_thread():
             for number in range(1, substeps + 1):
-                self.hook.apply(TIMESTEP)
+                self.hook.apply(self.timestep)
+                if self._delay is not None and number == self._delay.due + 1:
+                    self.ctrl[:, self._actuators] = self._delay.current
                 if number == substeps:
                     self.torque_velocity.copy_(self.qvel[:, self._joints])
                 self._substep(last=number == substeps)
         # MuJoCo's own reset also zeroes the counts: only the time reveals a second divergence in a row
         warned_anew = torch.from_numpy((self._warnings()[:, _DIVERGED] > warned).any(axis=1))
-        self.diverged = warned_anew | ((self.time - expected).abs() > 0.5 * TIMESTEP)
+        self.diverged = warned_anew | ((self.time - expected).abs() > 0.5 * self.timestep)
         if self.diverged.any():
             self.hook.lose(self.diverged)
 
@@ -200,6 +184,8 @@ class Engine(ABC):
         self.world_offset[rows] = 0.0
         self.diverged[rows] = False
         self._restart(rows, qpos, qvel)
+        if self._delay is not None:
+            self._delay.begin(rows)
         self.torque_velocity[rows] = self.qvel[rows][:, self._joints]
         self.hook.start(rows)
 
@@ -215,7 +201,8 @@ class Engine(ABC):
     @property
     def live_state(self) -> dict[str, Tensor]:
         """Tensors of the state, not copied; stale after the next step."""
-        return {**{name: getattr(self, name) for name in _STATE}, **self.hook.state}
+        own = {name: getattr(self, name) for name in _STATE}
+        return {**own, **({} if self._delay is None else {"targets": self._delay.queue}), **self.hook.state}
 
     def get_state(self) -> dict[str, Tensor]:
         """Return everything a later :meth:`set_state` needs to continue bit for bit (parameters excepted)."""

@@ -157,7 +157,7 @@ class Intrinsics:
 
         Args:
             ranges: ``"train"``, ``"test"`` or ``"off"``; or lowest and highest value, which may be equal, of some
-                parameters by name, in their own units.
+                parameters by name, or of a component such as ``"com_shift[0]"``, in their own units.
             others: ends of the parameters that are not named; those of the training range by default.
 
         Raises:
@@ -167,14 +167,26 @@ class Intrinsics:
             check_choice("randomization", ranges, RANDOMIZATIONS)
             return self._scaled[ranges]
         scaled = (self._scaled["train"] if others is None else others).clone()
-        for name, pair in ranges.items():
-            if name not in self.parameters:
-                raise IntrinsicError(f"there is no intrinsic parameter {name!r}; {nearest(str(name), self.parameters)}")
+        for given, pair in ranges.items():
+            name, part = self._part(str(given))
             if not _is_range(pair, above=False):
-                raise IntrinsicError(f"{name}={pair!r} is no range; give two finite numbers, the lower one first")
+                raise IntrinsicError(f"{given}={pair!r} is no range; give two finite numbers, the lower one first")
             values = [self.parameters[name].scaled(float(end)) for end in pair]
-            scaled[:, self.slices[name]] = torch.tensor(values, dtype=torch.float32).unsqueeze(-1)
+            scaled[:, part] = torch.tensor(values, dtype=torch.float32).unsqueeze(-1)
         return scaled
+
+    def _part(self, given: str) -> tuple[str, slice]:
+        """Return name and columns of a parameter, or of one component of it."""
+        name, bracket, number = given.removesuffix("]").partition("[")
+        if name not in self.parameters:
+            raise IntrinsicError(f"there is no intrinsic parameter {given!r}; {nearest(given, self.parameters)}")
+        part = self.slices[name]
+        if not bracket:
+            return name, part
+        size = part.stop - part.start
+        if not number.isdecimal() or int(number) >= size:
+            raise IntrinsicError(f"{given!r} is no component of {name!r}; give {name}[0] to {name}[{size - 1}]")
+        return name, slice(part.start + int(number), part.start + int(number) + 1)
 
     def values(self, x_int: Tensor) -> dict[str, Tensor]:
         """Return the values of x_int, (n, size), by name, (n, size of each) float64: the inverse of the scaling."""

@@ -52,8 +52,8 @@ class ObservationTerm:
         bias: standard deviation of an error that is drawn for every episode, in its unit.
         bias_time: correlation time of the bias, s: it wanders slowly and keeps its standard deviation. Infinite by
             default: it stays for the episode.
-        delay: largest delay in control steps, in [0, 1]; every episode draws its own, uniformly from 0 on, and observes
-            the interpolation between the value before and the present one.
+        delay: largest delay in control steps, up to 50; every episode draws its own, uniformly from 0 on, and observes
+            the interpolation between the values of the two steps around it.
 
     Raises:
         ObservationError: if the function cannot be called, or a number is out of range.
@@ -80,7 +80,7 @@ class ObservationTerm:
         try:
             for name in ("noise", "bias"):
                 check_number(name, getattr(self, name), 0.0)
-            check_number("delay", self.delay, 0.0, 1.0)
+            check_number("delay", self.delay, 0.0, 50.0)
             if self.bias_time != math.inf:
                 check_number("bias_time", self.bias_time, above=0.0)
         except InputError as error:

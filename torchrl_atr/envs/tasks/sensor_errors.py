@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +15,7 @@ from torchrl_atr.envs.physics.engine import CONTROL_DT
 
 _ERRORS = ("noise", "bias", "bias_time", "delay")
 Draw = dict[str, Tensor]
-"""``offset`` and ``delay`` of a group's components at this step, and their exact values ``before`` it, (N, D) each."""
+"""``offset`` and ``delay`` of a group's components at a step, (N, D) each; exact values ``before`` it, (N, K D)."""
 
 
 @dataclass
@@ -24,8 +25,8 @@ class GroupErrors:
     Attributes:
         columns: columns of each term, by name.
         offset: added error: bias and noise, (N, D).
-        delay: in control steps, in [0, 1], (N, D).
-        before: exact values of the step before, (N, D).
+        delay: in control steps, in [0, K], (N, D).
+        before: exact values of the K steps before, the latest first, (N, K D).
     """
 
     columns: Mapping[str, slice]
@@ -35,7 +36,16 @@ class GroupErrors:
 
     def __call__(self, exact: Tensor, columns: slice = slice(None)) -> Tensor:
         """Return the measured values, given the exact values of ``columns``."""
-        late = torch.lerp(exact, self.before[:, columns], self.delay[:, columns])
+        size, delay = self.offset.shape[-1], self.delay[:, columns]
+        if self.before.shape[-1] == size:
+            late = torch.lerp(exact, self.before[:, columns], delay)
+        else:
+            past = self.before.unflatten(-1, (-1, size))[..., columns]
+            values = torch.cat([exact.unsqueeze(1), past], 1)
+            whole = delay.floor().clamp_max(past.shape[1] - 1.0)
+            first = whole.long().unsqueeze(1)
+            newer, older = values.gather(1, first).squeeze(1), values.gather(1, first + 1).squeeze(1)
+            late = torch.lerp(newer, older, delay - whole)
         return late + self.offset[:, columns]
 
 
@@ -52,7 +62,8 @@ class SensorErrors:
         generator: source of randomness.
 
     Attributes:
-        state: biases (N, D), delays (N, 1) and exact values of the step before (N, D), by name.
+        state: biases (N, D), delays (N, 1) and exact values of the K steps before (N, K D), by name; K is the largest
+            delay so far.
 
     Example:
         >>> from torchrl_atr.envs.tasks import ObservationTerm
@@ -92,6 +103,7 @@ class SensorErrors:
                 name: torch.tensor([getattr(t, name) for t in group.values()]).float().repeat_interleave(counts)
                 for name in _ERRORS
             }
+            self._remember_longer(key, math.ceil(max(term.delay for term in group.values())))
         self._outdated = torch.ones(self._num_envs, dtype=torch.bool)
 
     def _allocate(self, key: NestedKey) -> None:
@@ -101,6 +113,13 @@ class SensorErrors:
             self.state[_name(key, name)] = torch.zeros(self._num_envs, size, dtype=torch.float32)
         none = {name: torch.zeros(self._num_envs, total, dtype=torch.float32) for name in _ERRORS}
         self._scales[key] = none | _wandering(none)
+
+    def _remember_longer(self, key: NestedKey, steps: int) -> None:
+        """Keep the exact values of so many steps; those that nobody has seen are the oldest that are known."""
+        size, known = sum(self._sizes[key].values()), self.state[_name(key, "before")]
+        missing = steps - known.shape[-1] // size
+        if missing > 0:
+            self.state[_name(key, "before")] = torch.cat([known, known[:, -size:].repeat(1, missing)], -1)
 
     def _update(self, rows: Tensor) -> None:
         """Give ``rows`` the errors that were set last."""
@@ -146,11 +165,12 @@ class SensorErrors:
     def remember(self, exact: Mapping[NestedKey, Tensor], rows: Tensor | slice = slice(None)) -> None:
         """Keep the exact values of ``rows``, (n, D) by key, for the next step's delays."""
         for key in self._scales:
-            name = _name(key, "before")
-            if isinstance(rows, slice):  # tensors that were returned before stay unchanged
-                self.state[name] = exact[key]
+            name, now = _name(key, "before"), exact[key]
+            known, size = self.state[name], exact[key].shape[-1]
+            if not isinstance(rows, slice):  # tensors that were returned before stay unchanged
+                self.state[name] = known.index_copy(0, rows, now.repeat(1, known.shape[-1] // size))
             else:
-                self.state[name] = self.state[name].index_copy(0, rows, exact[key])
+                self.state[name] = now if known.shape[-1] == size else torch.cat([now, known[:, :-size]], -1)
 
     def _wander(self, bias: Tensor, scale: Mapping[str, Tensor]) -> Tensor:
         columns = scale["wandering"]

@@ -12,7 +12,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._threads import one_torch_thread
 from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models.boards import TransporterLayout
-from torchrl_atr.envs.models.scene import TIMESTEP, columns
+from torchrl_atr.envs.models.scene import columns
 from torchrl_atr.envs.models.transporter import Matrix, TransporterSpec
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.physics.hook import SubstepHook
@@ -231,4 +231,4 @@ class DriveHook(SubstepHook):
         """Compute v̇ and α of the law for ``rows`` at their present tilt and speeds, m/s² and rad/s², (n, 2)."""
         speeds, tilt = self.speeds[rows], self.engine.qpos[rows][:, self._tilt]
         with one_torch_thread():
-            return (self.law(speeds, tilt, self._scale[rows], TIMESTEP) - speeds) / TIMESTEP
+            return (self.law(speeds, tilt, self._scale[rows], self.engine.timestep) - speeds) / self.engine.timestep
