@@ -40,7 +40,9 @@ def plot_error_maps(results: Results, kinds: Sequence[str], path: str | Path) ->
     columns = min(_ACROSS, len(panels))
     rows = -(-len(panels) // columns)
     with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(rows, columns, figsize=(2.7 * columns + 1.0, 2.0 * rows + 0.6), squeeze=False)
+        figure, axes = plt.subplots(
+            rows, columns, figsize=(max(2.7 * columns + 1.0, 6.0), max(2.0 * rows, 2.6) + 0.6), squeeze=False
+        )
         flat, meshes = list(axes.flat), {}
         for axis, (label, kind) in zip(flat, panels):
             values = np.mean([_errors(each, kind).mean(-1) for each in results[label]], axis=0)

@@ -42,7 +42,7 @@ class Grid(NamedTuple):
 
 
 def grid_of(job: Job, max_speed: float | None = None, max_yaw_rate: float | None = None) -> Grid:
-    """Return the grid of a job: the paper's, or 35 commands of two robots if it is quick.
+    """Return the grid of a job: the paper's, or some 30 commands of two robots if it is quick.
 
     Args:
         job: the request.
@@ -52,7 +52,7 @@ def grid_of(job: Job, max_speed: float | None = None, max_yaw_rate: float | None
     grid = Grid()
     speed, yaw_rate = max_speed or grid.max_speed, max_yaw_rate or grid.max_yaw_rate
     if job.quick:
-        return Grid(speed, yaw_rate, speed / 3, yaw_rate / 2, robots=2)
+        return Grid(speed, yaw_rate, speed / (2 if speed % 3 else 3), yaw_rate / 2, robots=2)  # round numbers
     return grid._replace(max_speed=speed, max_yaw_rate=yaw_rate)
 
 
