@@ -45,7 +45,6 @@ ADDITIONS = {  # setting and the value that turns it off, kept apart from the de
     "ppo.symmetric": False,
     "ppo.command_interaction": False,
     "ppo.tracking_errors": False,
-    "ppo.command_gain_rate": 0.0,
     "ppo.tracking_forecast": False,
     "roa.act_source": "privileged",
     "estimator.dead_reckoning": False,

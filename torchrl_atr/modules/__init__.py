@@ -16,7 +16,6 @@ from torchrl_atr.modules.act_source import (
 from torchrl_atr.modules.action_noise import CorrelatedGaussian, RotatedNormal, with_correlated_noise
 from torchrl_atr.modules.actor import ActorBackbone, make_actor
 from torchrl_atr.modules.checks import check_estimator
-from torchrl_atr.modules.command_gain import CommandGain
 from torchrl_atr.modules.command_range import COMMAND_RANGE_FILE, CommandClippedPolicy, CommandRange
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.encoder import IntrinsicEncoder
@@ -56,7 +55,6 @@ __all__ = [
     "AsymmetricCritic",
     "CNNGRUEstimator",
     "CommandClippedPolicy",
-    "CommandGain",
     "CommandRange",
     "CorrelatedGaussian",
     "DeviceBridge",

@@ -11,7 +11,6 @@ from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
 
 from torchrl_atr.modules.action_noise import RotatedNormal
-from torchrl_atr.modules.command_gain import CommandGain
 from torchrl_atr.modules.exploration import Exploration
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.normalization import RunningNormalizer
@@ -55,7 +54,6 @@ class ActorBackbone(nn.Module):
             False.
         history_length (int): H, past observations that it reads, each through one layer of
             :data:`HISTORY_FEATURES` units. Defaults to 0.
-        command_gain (CommandGain, optional): of the commands in the observation, products and errors included.
 
     Attributes:
         reads (tuple of str): what it reads beside the observation, in order: ``history``, ``latent``, ``extrinsic``,
@@ -92,7 +90,6 @@ class ActorBackbone(nn.Module):
         reads_scale: bool = False,
         input_errors: Sequence[tuple[int, int]] = (),
         history_length: int = 0,
-        command_gain: CommandGain | None = None,
     ) -> None:
         super().__init__()
         size, states = observation_norm.shape.numel(), 0 if extrinsic_norm is None else extrinsic_norm.shape.numel()
@@ -106,7 +103,6 @@ class ActorBackbone(nn.Module):
         self.register_buffer("output_map", output_map)
         self.observation_norm = observation_norm
         self.extrinsic_norm = extrinsic_norm
-        self.command_gain = command_gain
         estimated = {name: width for name, width in (("latent", latent_features), ("extrinsic", states)) if width}
         scales = {f"{name}_scale": width for name, width in estimated.items() if reads_scale}
         history = {"history": history_length * HISTORY_FEATURES} if history_length else {}
@@ -149,7 +145,6 @@ class ActorBackbone(nn.Module):
             *read (Tensor): one for each of :attr:`reads`: history (*B, H, O), latent (*B, L) and extrinsic state
                 (*B, E), and standard deviations of the latter two in the same units.
         """
-        observation = observation if self.command_gain is None else self.command_gain(observation)
         x, given = self.observation_norm(observation), dict(zip(self.reads, read))
         errors = x[..., :0]
         if self.extrinsic_norm is not None:

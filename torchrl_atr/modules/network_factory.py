@@ -15,7 +15,6 @@ from torchrl.data import Composite, TensorSpec
 from torchrl_atr._checks import check_choice, check_flag, check_kind, check_whole
 from torchrl_atr.modules.act_source import ACTOR_INPUTS, ActorInput
 from torchrl_atr.modules.actor import ActorBackbone
-from torchrl_atr.modules.command_gain import CommandGain
 from torchrl_atr.modules.critic import AsymmetricCritic
 from torchrl_atr.modules.dtype import default_dtype
 from torchrl_atr.modules.encoder import IntrinsicEncoder
@@ -50,7 +49,6 @@ def make_networks(
     actor_cells: Sequence[int] = (512, 256, 128),
     input_products: Sequence[tuple[int, int]] = (),
     input_errors: Sequence[tuple[int, int]] = (),
-    command_gain: Sequence[int] = (),
     output_map: Tensor | None = None,
     exploration: Exploration | None = None,
     critic_cells: Sequence[int] = (512, 256, 128),
@@ -81,7 +79,6 @@ def make_networks(
         actor_cells (sequence of int): hidden widths of the actor.
         input_products (sequence of pairs of int): see :class:`~torchrl_atr.modules.ActorBackbone`.
         input_errors (sequence of pairs of int): the same.
-        command_gain (sequence of int): entries of the observation with a :class:`~torchrl_atr.modules.CommandGain`.
         output_map (Tensor, optional): see :class:`~torchrl_atr.modules.ActorBackbone`.
         exploration (Exploration, optional): of as many actions; it becomes part of the networks, in their dtype.
             None, the default, is ``Exploration(A)``.
@@ -160,7 +157,6 @@ def make_networks(
             actor_reads_scale,
             input_errors,
             entry_shape(observation_spec, keys.history, 2)[0] if "history" in actor_reads else 0,
-            CommandGain(command_gain) if command_gain else None,
         )
         critic = AsymmetricCritic(
             obs_norm,

@@ -143,7 +143,6 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
         actor_reads_scale=config.estimator.actor_reads_scale,
         input_products=products,
         input_errors=errors,
-        command_gain=_command_entries(env) if config.ppo.command_gain_rate else [],
         latent_features=config.roa.latent_features,
         encoder_cells=config.roa.encoder_cells,
         output_map=output_map,
@@ -163,8 +162,8 @@ def make_run_networks(config: TrainConfig, env: TransformedEnv) -> ROANetworks:
 
 def _command_inputs(config: TrainConfig, env: TransformedEnv) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
     """Return the products and the errors that the actor reads, see :class:`~torchrl_atr.modules.ActorBackbone`."""
-    speed, yaw_rate = _command_entries(env)
-    size = yaw_rate + 1
+    size = env.observation_spec["observation"].shape[-1]  # the command is the end of o_t
+    speed, yaw_rate = size - 2, size - 1
     followed = env.base_env.followed if config.ppo.tracking_errors else ()
     errors = list(zip((speed, yaw_rate), followed))
     gates = [speed] if config.ppo.command_interaction else []
@@ -173,12 +172,6 @@ def _command_inputs(config: TrainConfig, env: TransformedEnv) -> tuple[list[tupl
         gates.append(observed.index(PITCH))
     turns = [yaw_rate] + [size + 1] * bool(errors)
     return [(gate, turn) for gate in gates for turn in turns], errors
-
-
-def _command_entries(env: TransformedEnv) -> list[int]:
-    """Return where the command is in the observation: its end."""
-    size, commands = (env.observation_spec[name].shape[-1] for name in ("observation", "command"))
-    return list(range(size - commands, size))
 
 
 def _exploration(config: ExplorationConfig, actions: int) -> tuple[Exploration, Tensor | None]:

@@ -37,8 +37,8 @@ EMA_WARMUP = 9
 class Learner:
     """Networks, loss, optimisers and schedules of one run.
 
-    The policy (actor, encoder), the gain of its commands, the critic and the estimators have an optimiser each: only
-    the policy's learning rate follows the KL divergence, and no gradient norm clips another's.
+    The policy (actor, encoder), the critic and the estimators have an optimiser each: only the policy's learning rate
+    follows the KL divergence, and no gradient norm clips another's.
 
     What trains the policy is ``config.roa.policy_update``: PPO; imitation of the policy that the networks are now; or
     nothing, and then its normalisers stay as they are, too.
@@ -82,7 +82,6 @@ class Learner:
             compile_methods(self.loss, "policy_loss", *["adaptation_loss"] * (not self._recurrent))
             compile_methods(critic, "forward")
         self._groups, ppo = parameter_groups(networks), config.ppo
-        self._acting = tuple(name for name in ("policy", "command_gain") if name in self._groups)
         self.optimizers = make_optimizers(self._groups, config)
         self.schedule = DeviceKLAdaptiveLR(self.optimizers["policy"], ppo.target_kl, max_lr=ppo.max_learning_rate)
         self._first, self._too_far = torch.zeros(2, dtype=torch.bool, device=config.compute.device)
@@ -215,14 +214,14 @@ class Learner:
         terms = self.loss.policy_loss(minibatch)
         if self._update == "imitation":
             terms = self.callbacks.through("on_loss", terms, minibatch, "policy")
-            return self._step(terms, self._acting)
+            return self._step(terms, ("policy",))
         divergence = kl_divergence(terms)
         self.schedule.step(divergence, hold=self._first | self._too_far)
         self._first.fill_(False)
         if self.config.ppo.kl_stop > 0:
             self._too_far.logical_or_(self.schedule.exceeded(divergence, self.config.ppo.kl_stop))
         terms = self.callbacks.through("on_loss", terms, minibatch, "policy")
-        return self._step(terms, (*self._acting, "critic"), self._too_far)
+        return self._step(terms, ("policy", "critic"), self._too_far)
 
     def _adaptation_step(self, minibatch: TensorDictBase) -> TensorDictBase:
         terms = self.callbacks.through("on_loss", self.loss.adaptation_loss(minibatch), minibatch, "estimators")

@@ -94,9 +94,6 @@ class PPOConfig(Settings):
     tracking_errors: bool = setting(True, off=False, addition="tracking errors as inputs of the actor")
     """Let the actor also read tanh(e / 0.5) of both tracking errors, by its estimates, and tanh(c_v) times the yaw
     rate's. Networks that read speeds and commands over metres a second find a difference of 0.3 m/s late."""
-    command_gain_rate: float = setting(1e-3, within=(0, 1), off=0.0, addition="learned gain of the commands")
-    """Learning rate of a gain of the commands that the actor reads; 0 for no gain. Policies settle at three quarters of
-    a commanded speed, which a network's many weights are slow to mend and a few parameters are not."""
     actor_cells: tuple[int, ...] = setting((512, 256, 128), within=(1, 1e5))
     """Hidden widths of the actor. Table I."""
     critic_cells: tuple[int, ...] = setting((256, 128, 64), within=(1, 1e5), paper=(512, 256, 128))

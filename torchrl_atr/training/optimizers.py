@@ -1,4 +1,4 @@
-"""Optimisers of a run: one each for policy, gain of its commands, critic and estimators."""
+"""Optimisers of a run: one each for policy, critic and estimators."""
 
 from __future__ import annotations
 
@@ -13,14 +13,10 @@ from torchrl_atr.training.restoring import check_moments
 
 
 def parameter_groups(networks: Any) -> dict[str, list[nn.Parameter]]:
-    """Return the parameters that each optimiser trains; there is no group of what the networks do not have."""
+    """Return the parameters that each optimiser trains; without estimators there is no group of them."""
     policy = (networks.encoder, networks.backbone, networks.exploration)
-    gain = networks.backbone.command_gain
-    gains = [] if gain is None else list(gain.parameters())
-    parameters = [parameter for network in policy if network is not None for parameter in network.parameters()]
     groups = {
-        "policy": [each for each in parameters if all(each is not other for other in gains)],
-        "command_gain": gains,
+        "policy": [parameter for network in policy if network is not None for parameter in network.parameters()],
         "critic": list(networks.critic.parameters()),
         "estimators": list(networks.estimator_parameters()),
     }
@@ -30,12 +26,7 @@ def parameter_groups(networks: Any) -> dict[str, list[nn.Parameter]]:
 def make_optimizers(groups: Mapping[str, list[nn.Parameter]], config: TrainConfig) -> dict[str, torch.optim.Adam]:
     """Return the optimiser of each group."""
     ppo, estimator = config.ppo, config.estimator
-    rates = {
-        "policy": ppo.learning_rate,
-        "command_gain": ppo.command_gain_rate,
-        "critic": ppo.critic_learning_rate,
-        "estimators": estimator.learning_rate,
-    }
+    rates = {"policy": ppo.learning_rate, "critic": ppo.critic_learning_rate, "estimators": estimator.learning_rate}
     return {
         name: torch.optim.Adam(group, lr=rates[name], fused=True, capturable=config.captures_graphs)
         for name, group in groups.items()

@@ -66,7 +66,6 @@ TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
         "ppo.smoothness_coeff": 0.0,
         "ppo.command_interaction": False,
         "ppo.tracking_errors": False,
-        "ppo.command_gain_rate": 0.0,
         "estimator.dead_reckoning": False,
     },
 }

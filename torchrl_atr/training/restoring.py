@@ -38,7 +38,6 @@ _NEEDED = (
 
 _SINCE = {
     ("ppo", "tracking_errors"): False,
-    ("ppo", "command_gain_rate"): 0.0,
     ("task", "observe_tilt"): False,
     ("curriculum", "slew_rates"): (),
     ("task", "stance"): (),
