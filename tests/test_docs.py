@@ -51,6 +51,15 @@ def blocks(path: Path, kind: str) -> list[Block]:
     return [each for each in found if each.kind == kind]
 
 
+REGISTERED = {
+    name
+    for page in PAGES
+    for block in blocks(page, "python")
+    for name in re.findall(r'register(?:_\w+)?\(\s*"([^"]+)"', block.text)
+}
+"""Names of tasks, robots, transporters and estimators that pages register."""
+
+
 def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
@@ -61,13 +70,17 @@ def with_blocks(kind: str) -> list[Path]:
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory with the committed policy as ``runs/ride``; registries stay as they were."""
+    """A working directory with the committed policy as ``runs/ride``; registries stay as they were.
+
+    Names that a page registers are free, whatever other tests of this process have left.
+    """
     from torchrl_atr.envs.models import ROBOTS, TRANSPORTER_DESIGNS, TRANSPORTERS
     from torchrl_atr.envs.tasks import TASKS
     from torchrl_atr.modules.estimators import _ESTIMATORS
 
     for registry in (ROBOTS, TRANSPORTERS, TRANSPORTER_DESIGNS, TASKS, _ESTIMATORS):
-        monkeypatch.setattr(registry, "_entries", dict(registry._entries))
+        kept = {name: entry for name, entry in registry._entries.items() if name not in REGISTERED}
+        monkeypatch.setattr(registry, "_entries", kept)
     (tmp_path / "runs").mkdir()
     (tmp_path / "runs" / "ride").symlink_to(ROOT / "results" / "a1-single_board")
     monkeypatch.chdir(tmp_path)

@@ -56,8 +56,8 @@ def group_pairs(scene: Scene) -> list[Pair]:
 
     Example:
         >>> from torchrl_atr.envs.models import FlatGround, build_scene
-        >>> [str(pair) for pair in group_pairs(build_scene(ROBOTS.get("go1"), FlatGround()))]
-        ['go1/single_board_g1', 'go1/two_board_g1', 'a1/single_board_g1', 'a1/two_board_g1']
+        >>> [str(pair) for pair in group_pairs(build_scene(ROBOTS.get("go1"), FlatGround()))][:3]
+        ['go1/single_board_g1', 'go1/two_board_g1', 'a1/single_board_g1']
     """
     own = scene.robot
     mates = [name for name in ROBOTS.names() if ROBOTS.get(name).group == own.group and name != own.name]
