@@ -33,7 +33,7 @@ def test_it_is_small_and_acts_as_torch_does(bundle):
     assert sum(file.stat().st_size for file in bundle.rglob("*")) < LARGEST
     found = verify(bundle)
     assert found.error < 1e-4
-    assert (found.steps, found.robots) == (300, 2)
+    assert (found.steps, found.robots) == (240, 2)
     assert found.resets >= 3
     assert main(["verify", str(bundle)]) == 0
 

@@ -10,8 +10,8 @@ from torchrl_atr.deploy.loading import LoadedPolicy
 from torchrl_atr.deploy.policy_step import SENSORS
 from torchrl_atr.evaluation.access import deterministic
 
-STEPS, ROBOTS, COMMAND_STEPS = 300, 2, 50
-"""Control steps, robots, and control steps that a command lasts: six seconds."""
+STEPS, ROBOTS, COMMAND_STEPS = 240, 2, 40
+"""Control steps, robots, and control steps that a command lasts: 4.8 s."""
 COMMANDS = ((0.0, 0.0), (1.0, 0.3), (-1.0, 0.0), (0.5, -0.5), (12.0, 1.9), (0.0, 0.6))
 """Forward speeds, m/s, and yaw rates, rad/s, one after the other; one is beyond what is mastered."""
 RESETS = {70: 0, 180: 1, 181: 1}
