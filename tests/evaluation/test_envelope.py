@@ -122,8 +122,6 @@ def test_figures_show_it(evaluate, tmp_path, monkeypatch):
         black = [line for line in drawn[-1].axes[1].lines if line.get_color() == "black"]
         assert len(black) == (lines > 0)
     np.testing.assert_allclose(black[0].get_ydata(), envelope_curve(dataclasses.replace(bounded, envelope=PRINTED)))
-    for figure in drawn:
-        figures.plt.close(figure)
 
 
 def test_its_own_figure_bounds_turns_by_friction_and_by_the_reward(tmp_path, monkeypatch):
@@ -138,4 +136,3 @@ def test_its_own_figure_bounds_turns_by_friction_and_by_the_reward(tmp_path, mon
         within, beyond = w[inner] - 0.05, w[inner] + 0.05
         assert all(largest([a], [b])[0, 0] == pytest.approx(b) for a, b in zip(v[inner], within))
         assert all(largest([a], [b])[0, 0] < b for a, b in zip(v[inner], beyond))
-    envelope_figure.plt.close(drawn[0])

@@ -1,14 +1,13 @@
 import numpy as np
 import pytest
+from matplotlib import pyplot as plt
 
 from torchrl_atr.evaluation import command_grid, plotting
 
 
 @pytest.fixture
 def axis():
-    figure, axis = plotting.plt.subplots()
-    yield axis
-    plotting.plt.close(figure)
+    return plotting.subplots(figsize=(4, 3))[1]
 
 
 def test_cells_stand_at_their_commands_in_any_order(axis):
@@ -63,3 +62,10 @@ def test_a_colour_bar_begins_at_0_and_ends_at_its_top(axis, top, power):
     assert 4 <= len(ticks) <= 9
     assert (np.diff([float(mesh.norm(tick)) for tick in ticks]) > 0.09).all()
     assert bar.extend == "max"  # values lie beyond
+
+
+def test_figures_are_none_of_the_users_pyplot():
+    before = plt.get_fignums()
+    _, axes = plotting.subplots(2, 3, figsize=(4, 3))
+    assert axes.shape == (2, 3)
+    assert plt.get_fignums() == before

@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from matplotlib import pyplot as plt
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.cli import main
@@ -45,8 +44,7 @@ def drawn(monkeypatch):
         return path
 
     monkeypatch.setattr(set_figures, "save", keep)
-    yield figures
-    plt.close("all")
+    return figures
 
 
 def band(axis):

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import colormaps, rc_context
 from numpy.typing import NDArray
 
-from torchrl_atr.evaluation.plotting import GREY, STYLE, save
+from torchrl_atr.evaluation.plotting import GREY, STYLE, save, subplots
 
 _COLOURS = "tab10"
 
@@ -25,12 +25,12 @@ def plot_components(estimators: Mapping[str, Any], path: str | Path) -> Path:
     rows = {name: row for name, row in estimators.items() if "error" in row}
     labels = [component["label"] for component in next(iter(rows.values()))["components"]]
     height = 0.8 / len(rows)
-    with plt.rc_context(STYLE):
-        figure, axis = plt.subplots(figsize=(7.5, 1.2 + (0.16 * len(rows) + 0.12) * len(labels)))
+    with rc_context(STYLE):
+        figure, axis = subplots(figsize=(7.5, 1.2 + (0.16 * len(rows) + 0.12) * len(labels)))
         for number, (name, row) in enumerate(rows.items()):
             value, low, high = (1.0 - _column(row["components"], end) for end in ("value", "high", "low"))
             at = np.arange(len(labels)) + (number - (len(rows) - 1) / 2) * height
-            colour = plt.get_cmap(_COLOURS)(number % 10)
+            colour = colormaps[_COLOURS](number % 10)
             axis.barh(at, value, height, color=colour, label=name)
             axis.hlines(at, low, high, color=GREY, lw=1.0)
         axis.set_yticks(range(len(labels)), labels)
@@ -60,14 +60,14 @@ def plot_drift(estimators: Mapping[str, Any], path: str | Path) -> Path:
         estimators: as for :func:`plot_components`.
         path: the PNG to write.
     """
-    with plt.rc_context(STYLE):
-        figure, axis = plt.subplots(figsize=(7.5, 4.0))
+    with rc_context(STYLE):
+        figure, axis = subplots(figsize=(7.5, 4.0))
         rows = {name: row for name, row in estimators.items() if "error" in row}
         for number, (name, row) in enumerate(rows.items()):
             x, value, low, high = (
                 np.array(row["drift"][key], dtype=np.float64) for key in ("seconds", "value", "low", "high")
             )
-            colour = plt.get_cmap(_COLOURS)(number % 10)
+            colour = colormaps[_COLOURS](number % 10)
             axis.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
             axis.plot(x, value, color=colour, lw=1.5, label=name, marker="." if len(x) == 1 else None)
         axis.set(xlabel="time in the ride [s]", ylabel="error [standard deviations]", ylim=(0.0, None))

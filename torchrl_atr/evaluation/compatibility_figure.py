@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import rc_context
 
-from torchrl_atr.evaluation.plotting import GREY, SHARES, STYLE, hatch_handle, save
+from torchrl_atr.evaluation.plotting import GREY, SHARES, STYLE, hatch_handle, save, subplots
 
 _DARK = 0.55
 """Share below which text is white."""
@@ -25,8 +25,8 @@ def plot_compatibility(metrics: Mapping[str, Any], path: str | Path) -> Path:
     cells = metrics["cells"]
     robots, decks = (list(dict.fromkeys(cell[name] for cell in cells)) for name in ("robot", "transporter"))
     shares = np.full((len(robots), len(decks)), np.nan)
-    with plt.rc_context(STYLE):
-        figure, axis = plt.subplots(figsize=(1.9 * len(decks) + 2.2, 1.1 * len(robots) + 1.4))
+    with rc_context(STYLE):
+        figure, axis = subplots(figsize=(1.9 * len(decks) + 2.2, 1.1 * len(robots) + 1.4))
         for cell in cells:
             row, column = robots.index(cell["robot"]), decks.index(cell["transporter"])
             shares[row, column] = up = cell.get("survival", np.nan)

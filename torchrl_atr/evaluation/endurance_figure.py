@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 
-from torchrl_atr.evaluation.plotting import GREY, STYLE, save
+from torchrl_atr.evaluation.plotting import GREY, STYLE, save, subplots
 
 _UP, _SPEED, _YAW, _ESTIMATE = "#009E73", "#0072B2", "#D55E00", "#CC79A7"
 _MOST_INTRINSICS = 6
@@ -24,8 +24,8 @@ def plot_endurance(metrics: Mapping[str, Any], path: str | Path) -> Path:
         path: the PNG to write.
     """
     curves, still = metrics["errors_over_time"], metrics["do_nothing"]
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(2, 3, figsize=(11.5, 6))
+    with rc_context(STYLE):
+        figure, axes = subplots(2, 3, figsize=(11.5, 6))
         survival = {**metrics["survival_over_time"], "mean": metrics["survival_over_time"]["share"]}
         _band(axes[0, 0], survival, _UP, f"Robots up: {metrics['survival']:.1%} at the end", "share of robots")
         axes[0, 0].set_ylim(0, 1.02)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import rc_context
 from matplotlib.lines import Line2D
 
 from torchrl_atr.envs.tasks.state import GRAVITY
 from torchrl_atr.evaluation.envelope import Envelope
-from torchrl_atr.evaluation.plotting import SHARES, STYLE, save
+from torchrl_atr.evaluation.plotting import SHARES, STYLE, save, subplots
 
 _LEANS = (0, 5, 10, 15, 20, 25, 30, 35, 40, 45)
 
@@ -29,8 +29,8 @@ def plot_envelope(envelope: Envelope, path: str | Path, max_speed: float = 15.0,
     held = lateral <= envelope.friction * GRAVITY
     lean = np.ma.masked_where(~held, np.degrees(np.arctan(lateral / GRAVITY)))
     pays = envelope.follows(speeds, yaw_rates, error=0.0).T
-    with plt.rc_context(STYLE):
-        figure, axis = plt.subplots(figsize=(7.2, 3.2))
+    with rc_context(STYLE):
+        figure, axis = subplots(figsize=(7.2, 3.2))
         colours = axis.contourf(speeds, yaw_rates, lean, _LEANS, cmap=SHARES, extend="max")
         axis.contour(speeds, yaw_rates, held.astype(float), [0.5], colors="black", linewidths=1.6)
         axis.contour(speeds, yaw_rates, pays.astype(float), [0.5], colors="black", linewidths=1.2, linestyles=":")

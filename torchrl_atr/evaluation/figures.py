@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from torchrl_atr.evaluation.plotting import (
     panel_size,
     save,
     spacing,
+    subplots,
 )
 from torchrl_atr.evaluation.tracking import TrackingResult
 
@@ -68,8 +69,8 @@ def plot_heatmaps(result: TrackingResult, path: str | Path, largest: tuple[float
         ("Falls", "share of robots", 1.0 - up.mean(-1), 1.0),
     ]
     width, height = panel_size(result.speed_commands, result.yaw_commands)
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(2, 3, figsize=(3 * width, 2 * height + 0.35))
+    with rc_context(STYLE):
+        figure, axes = subplots(2, 3, figsize=(3 * width, 2 * height + 0.35))
         for axis, (title, unit, values, top) in zip(axes.flat, panels):
             falls = title == "Falls"
             colours, power = (SHARES, 1.0) if falls else (_ERRORS, 0.5)
@@ -102,8 +103,8 @@ def plot_response(result: TrackingResult, path: str | Path) -> Path:
         ("speed", speeds, yaw_rates, result.settled_speed, SPEED, "speed $v$ [m/s]", YAW),
         ("yaw", yaw_rates, speeds, result.settled_yaw_rate.swapaxes(0, 1), YAW, "yaw rate $\\omega$ [rad/s]", SPEED),
     ]
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(1, 2, figsize=(11, 4.2))
+    with rc_context(STYLE):
+        figure, axes = subplots(1, 2, figsize=(11, 4.2))
         for axis, (name, asked, others, came, x_label, y_label, shade) in zip(axes, panels):
             _response(axis, asked, others, np.where(up if name == "speed" else up.swapaxes(0, 1), came, np.nan), name)
             figure.colorbar(axis.collections[-1], ax=axis, label=shade)
@@ -140,8 +141,8 @@ def plot_command_area(result: TrackingResult, path: str | Path) -> Path:
         "rms": f"RMS over {result.seconds:g} s from rest",
         "settled": f"settled, after {result.settle:g} s",
     }
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(1, 2, figsize=(10.5, 3.9))
+    with rc_context(STYLE):
+        figure, axes = subplots(1, 2, figsize=(10.5, 3.9))
         for axis, (kind, title) in zip(axes, titles.items()):
             for order, (name, colour) in enumerate(COLOURS.items()):
                 line: Any = {"color": colour, "ls": DASHES[name], "clip_on": False}

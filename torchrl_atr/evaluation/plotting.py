@@ -6,12 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
-from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.collections import QuadMesh
@@ -52,6 +47,12 @@ _MOST_LABELS = 15
 """Largest number of cells in a row whose values are printed."""
 _MOST_TICKS = 7
 _LUMINANCE = (0.299, 0.587, 0.114)
+
+
+def subplots(rows: int = 1, columns: int = 1, *, figsize: tuple[float, float], **grid: Any) -> tuple[Figure, Any]:
+    """Return a figure of no window and no backend, whatever the user's pyplot shows, and its axes."""
+    figure = Figure(figsize=figsize)
+    return figure, figure.subplots(rows, columns, **grid)
 
 
 def heatmap(axis: Axes, x: Array, y: Array, values: Array, colours: str, top: float, power: float = 1.0) -> QuadMesh:
@@ -150,10 +151,9 @@ def spacing(values: Array) -> float:
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a PNG atomically and close the figure."""
+    """Write a PNG atomically."""
     with atomic(path) as file:
         figure.savefig(file, dpi=130, facecolor="white")
-    plt.close(figure)
     return Path(path)
 
 

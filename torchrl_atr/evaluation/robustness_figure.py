@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from torchrl_atr.evaluation.plotting import COLOURS, GREY, STYLE, save
 
@@ -27,8 +28,8 @@ def plot_robustness(metrics: Mapping[str, Any], path: str | Path) -> Path:
     parameters, baseline = metrics["parameters"], metrics["baseline"]
     columns = min(_COLUMNS, len(parameters))
     count = -(-len(parameters) // columns)
-    with plt.rc_context({**STYLE, "figure.constrained_layout.use": False}):
-        figure = plt.figure(figsize=(3.2 * columns + 0.4, 3.3 * count + 0.5), layout="constrained")
+    with rc_context({**STYLE, "figure.constrained_layout.use": False}):
+        figure = Figure(figsize=(3.2 * columns + 0.4, 3.3 * count + 0.5), layout="constrained")
         grid = figure.add_gridspec(count, columns)
         for number, (name, sweep) in enumerate(parameters.items()):
             cell = grid[number // columns, number % columns].subgridspec(2, 1, height_ratios=(1.5, 1.0), hspace=0.05)

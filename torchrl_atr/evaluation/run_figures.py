@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib import pyplot as plt
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.evaluation.plotting import COLOURS, DASHES, SHARES, STYLE, Array, colour_bar, heatmap, save
+from torchrl_atr.evaluation.plotting import COLOURS, DASHES, SHARES, STYLE, Array, colour_bar, heatmap, save, subplots
 
 LEARNING_CURVES: dict[str, str] = {
     "episode_length": "episode length [control steps]",
@@ -65,8 +65,8 @@ def plot_learning_curves(progress_csv: str | Path, path: str | Path, curves: Map
     columns_shown = min(3, len(labels))
     rows = -(-len(labels) // columns_shown)
     x_label = "robot steps [million]" if "frames" in columns else "iteration"
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(rows, columns_shown, figsize=(3.7 * columns_shown, 2.4 * rows), squeeze=False)
+    with rc_context(STYLE):
+        figure, axes = subplots(rows, columns_shown, figsize=(3.7 * columns_shown, 2.4 * rows), squeeze=False)
         for axis, (name, label) in zip(axes.flat, labels.items()):
             if name == "falls_per_minute":  # few in any one iteration
                 _noisy_line(axis, x, columns[name], COLOURS["speed"], "speed")
@@ -110,8 +110,8 @@ def plot_runs(runs: Mapping[str, Mapping[str, str | Path]], path: str | Path) ->
     colours = dict(zip(dict.fromkeys(label for lines in runs.values() for label in lines), cycle(COLOURS.values())))
     panels = (("episode_length", CONTROL_DT, "episode length [s]"), ("episode_reward", 1.0, "return of an episode [1]"))
     size = (1 + 2.6 * len(curves), 4.8)
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(2, len(curves), figsize=size, squeeze=False, sharex=True, sharey="row")
+    with rc_context(STYLE):
+        figure, axes = subplots(2, len(curves), figsize=size, squeeze=False, sharex=True, sharey="row")
         for row, (name, unit, y_label) in zip(axes, panels):
             for axis, lines in zip(row, curves.values()):
                 for style, (label, columns) in zip(cycle(DASHES), lines.items()):
@@ -147,8 +147,8 @@ def plot_curriculum(weights: Any, bounds: tuple[float, float], path: str | Path)
     """
     values = np.asarray(weights, dtype=np.float64)
     speeds, yaw_rates = (np.linspace(-bound, bound, cells) for bound, cells in zip(bounds, values.shape))
-    with plt.rc_context(STYLE):
-        figure, axis = plt.subplots(figsize=(8, 2.8))
+    with rc_context(STYLE):
+        figure, axis = subplots(figsize=(8, 2.8))
         mesh = heatmap(axis, speeds, yaw_rates, values, SHARES, 1.0)
         axis.set_title("Command curriculum: commands are drawn in proportion to their weight")
         colour_bar(figure, axis, mesh, "weight [1]")

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._registry import nearest
 from torchrl_atr.evaluation.figures import plot_heatmaps
-from torchrl_atr.evaluation.plotting import DASHES, PALETTE, STYLE, Array, save
+from torchrl_atr.evaluation.plotting import DASHES, PALETTE, STYLE, Array, save, subplots
 from torchrl_atr.evaluation.report import load_tracking
 from torchrl_atr.evaluation.run_figures import LEARNING_CURVES, read_columns, rolling_mean
 
@@ -80,7 +80,7 @@ def plot_sets(
         **({"endurance": lambda: _endurance(endurance)} if endurance else {}),
         **({"command_area": lambda: _command_areas(tracking)} if tracking else {}),
     }
-    with plt.rc_context(_PAPER):
+    with rc_context(_PAPER):
         written = [save(plot(), folder / f"{name}.{suffix}") for name, plot in plots.items()]
         for label, trials in _having(held, "trials").items():
             name = re.sub(r"[^\w.-]+", "-", label)
@@ -190,7 +190,7 @@ def draw_band(
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
     columns = min(3, count)
     rows = -(-count // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(3.3 * columns, 2.5 * rows + 0.3), squeeze=False)
+    figure, axes = subplots(rows, columns, figsize=(3.3 * columns, 2.5 * rows + 0.3), squeeze=False)
     for axis in list(axes.flat)[count:]:
         axis.remove()
     return figure, list(axes.flat)[:count]

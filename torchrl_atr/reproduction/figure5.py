@@ -233,14 +233,14 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _plot(results: Mapping[tuple[str, str], TripsResult], path: Path) -> Path:
-    from matplotlib import pyplot as plt
+    from matplotlib import rc_context
 
-    from torchrl_atr.evaluation.plotting import STYLE, save
+    from torchrl_atr.evaluation.plotting import STYLE, save, subplots
 
     maps = list(dict.fromkeys(where for where, _ in results))
     names = list(dict.fromkeys(name for _, name in results))
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(1, len(maps), figsize=(1.5 + 3.6 * len(maps), 3.4), sharey=True, squeeze=False)
+    with rc_context(STYLE):
+        figure, axes = subplots(1, len(maps), figsize=(1.5 + 3.6 * len(maps), 3.4), sharey=True, squeeze=False)
         for axis, where in zip(axes[0], maps):
             for place, name in enumerate(names):
                 result = results[where, name]

@@ -188,13 +188,13 @@ def _table(rows: list[dict[str, Any]]) -> str:
 
 
 def _plot(result: SequenceResult, path: Path, title: str) -> Path:
-    from matplotlib import pyplot as plt
+    from matplotlib import rc_context
 
-    from torchrl_atr.evaluation.plotting import GREY, PALETTE, STYLE, save
+    from torchrl_atr.evaluation.plotting import GREY, PALETTE, STYLE, save, subplots
 
     shown = int(np.argmax(result.up.sum(0)))
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(2, 1, figsize=(9, 4.6), sharex=True)
+    with rc_context(STYLE):
+        figure, axes = subplots(2, 1, figsize=(9, 4.6), sharex=True)
         for i, (axis, label) in enumerate(zip(axes, ("forward speed [m/s]", "yaw rate [rad/s]"))):
             command = result.command[:, shown, i]
             if np.abs(command - result.asked[:, i]).max() > 1e-6 + 1e-3 * np.abs(command).max():

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import pyplot as plt
+from matplotlib import rc_context
 
 from torchrl_atr.evaluation import TrackingResult, command_area
 from torchrl_atr.evaluation.intervals import wilson
 from torchrl_atr.evaluation.metrics import do_nothing_baseline
-from torchrl_atr.evaluation.plotting import GREY, STYLE, Array, draw_envelope, envelope_handles, heatmap, save
+from torchrl_atr.evaluation.plotting import GREY, STYLE, Array, draw_envelope, envelope_handles, heatmap, save, subplots
 from torchrl_atr.evaluation.set_figures import draw_band, finished, line_styles
 from torchrl_atr.reproduction.tracking import EPSILONS
 
@@ -39,8 +39,8 @@ def plot_error_maps(results: Results, kinds: Sequence[str], path: str | Path) ->
     panels = [(label, kind) for label in results for kind in kinds]
     columns = min(_ACROSS, len(panels))
     rows = -(-len(panels) // columns)
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(
+    with rc_context(STYLE):
+        figure, axes = subplots(
             rows, columns, figsize=(max(2.7 * columns + 1.0, 6.0), max(2.0 * rows, 2.6) + 0.6), squeeze=False
         )
         flat, meshes = list(axes.flat), {}
@@ -71,8 +71,8 @@ def plot_areas(results: Results, path: str | Path) -> Path:
     Bands reach from the lowest to the highest seed, or are the 95 % interval of a single one; dotted: a board that
     never moves.
     """
-    with plt.rc_context(STYLE):
-        figure, axes = plt.subplots(1, 3, figsize=(10.5, 3.2))
+    with rc_context(STYLE):
+        figure, axes = subplots(1, 3, figsize=(10.5, 3.2))
         still = command_area(do_nothing_baseline(next(iter(results.values()))[0]), EPSILONS)["rms"]
         for (label, each), style in zip(results.items(), line_styles()):
             areas = [command_area(result, EPSILONS)["rms"] for result in each]

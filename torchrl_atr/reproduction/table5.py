@@ -140,15 +140,15 @@ def _claim(pair: str, name: str, entries: Mapping[str, dict[str, Any]]) -> Claim
 
 
 def _plot(rows: Mapping[str, Mapping[str, Mapping[str, dict[str, Any]]]], path: Path) -> Path:
-    from matplotlib import pyplot as plt
+    from matplotlib import rc_context
 
-    from torchrl_atr.evaluation.plotting import STYLE, save
+    from torchrl_atr.evaluation.plotting import STYLE, save, subplots
     from torchrl_atr.evaluation.set_figures import line_styles
 
     curves = {f"{pair}, {name}": each for pair, columns in rows.items() for name, each in columns.items()}
     names = list(STATE_ERRORS)
-    with plt.rc_context(STYLE):
-        figure, axis = plt.subplots(figsize=(9, 4.4))
+    with rc_context(STYLE):
+        figure, axis = subplots(figsize=(9, 4.4))
         axis.errorbar(*_points(names, STATE_ERRORS), fmt="_", color="black", ms=16, mew=2, label="paper", zorder=3)
         for i, ((label, entries), (colour, _)) in enumerate(zip(curves.items(), line_styles())):
             x = np.arange(len(names)) + 0.5 * ((i + 1) / (len(curves) + 1) - 0.5)
