@@ -10,9 +10,9 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 
-from torchrl_atr.evaluation.plotting import GREY, STYLE, save, subplots
+from torchrl_atr.evaluation.plotting import GREY, PALETTE, STYLE, save, subplots
 
-_UP, _SPEED, _YAW, _ESTIMATE = "#009E73", "#0072B2", "#D55E00", "#CC79A7"
+_SPEED, _YAW, _UP, _ESTIMATE = PALETTE[:4]
 _MOST_INTRINSICS = 6
 
 

@@ -45,7 +45,8 @@ def task_transforms(
         stagger: If positive, the first episodes end at different times, and the limit is checked every ``stagger``
             steps: a :class:`RandomizedStepCounter`.
         time_limit_growth: Lower time limit at first, of a :class:`RandomizedStepCounter`, which ``stagger`` makes.
-        command_slew: If given, rates of a :class:`CommandSlew` behind the curriculum, m/s² and rad/s².
+        command_slew: If given, rates of a :class:`CommandSlew` behind the curriculum, m/s² and rad/s²; rows of the
+            curriculum's ``unscored_key``, which start moving, start at their command.
         overspeed_margin: If given, of a :class:`OverspeedTermination` behind the curriculum, m/s and rad/s.
         overspeed_penalty: Added to the reward where an episode ends for its speed.
         compact_storage: Whether collected steps hold the history at the root alone, and reward terms in ``next`` alone:
