@@ -124,13 +124,14 @@ def _endurance_line(
 
 def robustness_lines(metrics: dict[str, Any]) -> Iterator[str]:
     """Yield lines of a robustness evaluation: by parameter the smallest share up by range, and where it breaks."""
+    from torchrl_atr.evaluation.conditions import REGIONS
+    from torchrl_atr.evaluation.robustness import worst_rows
+
     up = metrics["baseline"]["survival"]
     yield f"{'up at the end, share':24}{'training':>10}{'test':>10}{'beyond':>10}  less than half of {up:.3f} from"
     for name, sweep in metrics["parameters"].items():
-        shares: dict[str, list[float]] = {}
-        for row in sweep["rows"]:
-            shares.setdefault(row["region"], []).append(row["survival"])
-        cells = [number(min(shares.get(region, []), default=None), 10, 3) for region in ("training", "test", "beyond")]
+        worst = worst_rows(sweep)
+        cells = [number(worst.get(region, {}).get("survival"), 10, 3) for region in REGIONS]
         ends = [
             f"{value:g} {sweep['unit']}".strip() if isinstance(value, float) else value for value in sweep["breaks_at"]
         ]

@@ -84,7 +84,7 @@ FIGURES = {
     "figure5": Figure(_figure5, ("walking", "maps", "starts")),
     "figure7": Figure(_figure7, ("variants", "frames", "seeds", "config", *_SPACE), needs_policies=False),
 }
-"""What can be made, in the order of ``all``."""
+"""Figures and tables by name, in the order of ``all``."""
 
 
 def add_reproduce(parser: argparse.ArgumentParser, number_in: Any, seed: Any, path: Any) -> None:

@@ -180,6 +180,21 @@ def breaks_at(rows: Sequence[Row], up: float, training: Sequence[float] | None) 
     return [*below[-1:], *above[:1]]
 
 
+def worst_rows(sweep: Mapping[str, Any]) -> dict[str, Row]:
+    """Return the row of a parameter with the smallest share up, by region; there is none of a region without rows.
+
+    Args:
+        sweep: of one parameter in :func:`robustness_metrics`.
+
+    Example:
+        >>> rows = [{"region": "test", "survival": s} for s in (0.9, 0.4)]
+        >>> worst_rows({"rows": rows})
+        {'test': {'region': 'test', 'survival': 0.4}}
+    """
+    ordered = sorted(sweep["rows"], key=lambda row: row["survival"], reverse=True)
+    return {row["region"]: row for row in ordered}
+
+
 def robustness_table(metrics: Mapping[str, Any]) -> list[str]:
     """Return a Markdown table: by parameter the smallest share up in the training range, the test range and beyond.
 
@@ -198,10 +213,10 @@ def robustness_table(metrics: Mapping[str, Any]) -> list[str]:
     ]
     for name, sweep in metrics["parameters"].items():
         cells = [name.replace("_", " ")]
+        worst = worst_rows(sweep)
         for region in REGIONS:
-            rows = [row for row in sweep["rows"] if row["region"] == region]
-            worst = min(rows, key=lambda row: row["survival"], default=None)
-            cells.append("-" if worst is None else f"{_up(worst)} at {_value(worst['value'], sweep['unit'])}")
+            row = worst.get(region)
+            cells.append("-" if row is None else f"{_up(row)} at {_value(row['value'], sweep['unit'])}")
         cells.append(", ".join(_value(value, sweep["unit"]) for value in sweep["breaks_at"]) or "-")
         lines.append(f"| {' | '.join(cells)} |")
     return lines
