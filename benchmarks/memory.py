@@ -20,13 +20,15 @@ def peak_memory(num_envs: int, steps: int) -> dict[str, float]:
     """Measure the memory of training N robots, MB: ``imported`` after imports alone, ``peak`` after two iterations."""
     with tempfile.TemporaryDirectory() as scratch:
         command = [sys.executable, "-m", "benchmarks.memory", str(num_envs), str(steps), scratch]
-        with signals_held():
-            child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, encoding="utf-8")
+        child = None
         try:
+            with signals_held():  # a signal that was held is raised where this ends: the child is known by then
+                child = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, encoding="utf-8")
             output, _ = child.communicate()
         finally:
-            child.kill()  # if this was interrupted
-            child.wait()
+            if child is not None:
+                child.kill()  # if this was interrupted
+                child.wait()
     if child.returncode:
         raise subprocess.CalledProcessError(child.returncode, command)
     return {"num_envs": num_envs, **json.loads(output.splitlines()[-1])}

@@ -112,7 +112,7 @@ def main(library: str, iterations: int = 10, num_envs: int = 8, steps: int = 100
         batch = batch.reshape(-1)
         truth = batch["privileged", "extrinsic"]
         error = batch["estimate", "extrinsic"] - truth
-        explained.append(float(1 - (error.square().mean(0) / truth.var(0)).mean()))
+        explained.append(float(1 - error.square().mean() / truth.var(0).mean()))  # of all components together
         for _ in range(4):
             for minibatch in batch[torch.randperm(len(batch))].chunk(4):
                 optimise(policy, loss.policy_loss(minibatch))
