@@ -10,26 +10,21 @@ from typing import Any
 
 from torchrl_atr._files import folder_for, say
 from torchrl_atr._text import number
+from torchrl_atr.cli.option_types import file_path, number_in, run_folder, seed
 
 _SIZES = ("robots", "seconds", "updates", "batch", "seeds")
 _RANGES = ("seed", "randomization", "max_speed", "max_yaw_rate")
 
 
-def add_compare(parser: argparse.ArgumentParser, number_in: Any, seed: Any, path: Any, run: Any) -> None:
-    """Add the options of ``compare`` to its parser.
-
-    Args:
-        parser: of the command.
-        number_in: makes the type of a number in a range.
-        seed: type of a seed.
-        path: type of a path.
-        run: type of a run's folder.
-    """
-    parser.add_argument("run", type=run)
+def add_compare(parser: argparse.ArgumentParser) -> None:
+    """Add the options of ``compare`` to its parser."""
+    parser.add_argument("run", type=run_folder)
     parser.add_argument("--estimators", nargs="+", metavar="NAME", help="default: all that `list estimators` shows")
     text = "ideal, realistic or a custom set; default: the run's"
     parser.add_argument("--sensors", nargs="+", metavar="NAME", help=text)
-    parser.add_argument("--output", type=path, required=True, metavar="DIR", help="what it holds is not made again")
+    parser.add_argument(
+        "--output", type=file_path, required=True, metavar="DIR", help="what it holds is not made again"
+    )
     parser.add_argument(
         "--robots",
         type=number_in(int, 2, 100_000),

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from torchrl_atr._files import folder_for, say, whole
+from torchrl_atr.cli.option_types import number_in, run_folder, seed
 from torchrl_atr.cli.printing import step_progress
 from torchrl_atr.deploy.manifest import report_home
 
@@ -23,16 +24,9 @@ _LINES = (
 )
 
 
-def add_navigate(parser: argparse.ArgumentParser, number_in: Any, seed: Any, path: Any) -> None:
-    """Add the options of ``navigate`` to its parser.
-
-    Args:
-        parser: of the command.
-        number_in: makes the type of a number in a range.
-        seed: type of a seed.
-        path: type of a path.
-    """
-    parser.add_argument("run", type=path)
+def add_navigate(parser: argparse.ArgumentParser) -> None:
+    """Add the options of ``navigate`` to its parser."""
+    parser.add_argument("run", type=run_folder)
     parser.add_argument("--map", default="open", help="open, streets, a .toml file or an image; default: open")
     parser.add_argument("--resolution", type=number_in(float, 1e-3, 100), default=0.1, help="of an image, m per pixel")
     parser.add_argument("--goal", type=number_in(float, -1e6, 1e6), nargs=2, metavar=("X", "Y"), help="default: drawn")
@@ -43,7 +37,9 @@ def add_navigate(parser: argparse.ArgumentParser, number_in: Any, seed: Any, pat
     parser.add_argument("--margin", type=number_in(float, 0, 100), default=0.8, help="to obstacles, m; default: 0.8")
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--sensors", metavar="NAME", help="default: the run's")
-    parser.add_argument("--output", type=path, help="default: RUN/navigation/MAP, of a policy runs/NAME/navigation/MAP")
+    parser.add_argument(
+        "--output", type=run_folder, help="default: RUN/navigation/MAP, of a policy runs/NAME/navigation/MAP"
+    )
 
 
 def navigate(arguments: argparse.Namespace) -> None:

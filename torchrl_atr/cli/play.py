@@ -3,29 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from torchrl_atr._files import say
 from torchrl_atr.cli.chosen import checkpoint_file, other_model
+from torchrl_atr.cli.option_types import file_path, number_in, run_folder, seed
 
 VIDEO_SECONDS = 20.0
 """Length of a video of the default commands."""
 
 
-def add_play(parser: argparse.ArgumentParser, number_in: Any, seed: Any, path: Any, run: Any) -> None:
-    """Add the options of ``play`` to its parser; its ``--checkpoint`` and ``--import`` are everybody's.
-
-    Args:
-        parser: of the command.
-        number_in: makes the type of a number in a range.
-        seed: type of a seed.
-        path: type of a path.
-        run: type of a run's folder.
-    """
-    parser.add_argument("run", type=run)
+def add_play(parser: argparse.ArgumentParser) -> None:
+    """Add the options of ``play`` to its parser; its ``--checkpoint`` and ``--import`` are everybody's."""
+    parser.add_argument("run", type=run_folder)
     parser.add_argument("--robot", help="watch another one than it was trained with")
     parser.add_argument("--transporter", help="ride another one than it was trained on")
-    parser.add_argument("--video", type=path, help="write an .mp4 or .gif instead of opening a viewer")
+    parser.add_argument("--video", type=file_path, help="write an .mp4 or .gif instead of opening a viewer")
     text = "ride the commands of a .csv or .toml file, or figure6, instead of steering; docs/reproduce.md"
     parser.add_argument("--commands", metavar="FILE", help=text)
     text = "of the ride; default: until the window is closed; of a video 20, or as long as the commands last"

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import folder_for, say
+from torchrl_atr.cli.option_types import file_path
 from torchrl_atr.deploy.manifest import find_policy, is_bundle, report_home
 
 
-def add_plot(parser: argparse.ArgumentParser, path: Any) -> None:
-    """Add the options of ``plot`` to its parser; ``path`` is the type of a path."""
+def add_plot(parser: argparse.ArgumentParser) -> None:
+    """Add the options of ``plot`` to its parser."""
     text = "folder of a run, or of a report of `evaluate`; runs of one label are seeds: a mean and a band"
     parser.add_argument("runs", nargs="+", metavar="[LABEL=]RUN", help=text)
-    parser.add_argument("--output", type=path, required=True, metavar="DIR", help="where the figures go")
+    parser.add_argument("--output", type=file_path, required=True, metavar="DIR", help="where the figures go")
     parser.add_argument("--format", choices=("pdf", "svg", "png"), default="pdf", help="default: pdf")
     text = "columns of progress.csv; default: reward, episode length, falls, errors and command area"
     parser.add_argument("--curves", nargs="+", metavar="COLUMN", help=text)

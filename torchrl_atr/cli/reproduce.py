@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from torchrl_atr._errors import MissingPackageError, UserError
 from torchrl_atr._files import folder_for, say
+from torchrl_atr.cli.option_types import file_path, number_in, seed
 from torchrl_atr.cli.printing import step_progress
 
 if TYPE_CHECKING:
@@ -87,20 +88,13 @@ FIGURES = {
 """Figures and tables by name, in the order of ``all``."""
 
 
-def add_reproduce(parser: argparse.ArgumentParser, number_in: Any, seed: Any, path: Any) -> None:
-    """Add the options of ``reproduce`` to its parser; its ``--import`` is everybody's.
-
-    Args:
-        parser: of the command.
-        number_in: makes the type of a number in a range.
-        seed: type of a seed.
-        path: type of a path.
-    """
+def add_reproduce(parser: argparse.ArgumentParser) -> None:
+    """Add the options of ``reproduce`` to its parser; its ``--import`` is everybody's."""
     parser.add_argument("name", choices=(*FIGURES, SUMMARY, ALL), help="summary: the page on all claims")
     text = "runs, bundles or installed policies, one for each pair; default: all installed ones"
     parser.add_argument("--policies", nargs="+", metavar="[PAIR=]RUN", help=text)
     text = f"default: {ROOT}/NAME, of all {ROOT}; finished measurements in it are not made again"
-    parser.add_argument("--output", type=path, metavar="DIR", help=text)
+    parser.add_argument("--output", type=file_path, metavar="DIR", help=text)
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--quick", action="store_true", help="coarse sizes, minutes: shows that everything works")
     own = parser.add_argument_group("figure4, table5, figure7")
@@ -125,7 +119,7 @@ def add_reproduce(parser: argparse.ArgumentParser, number_in: Any, seed: Any, pa
     text = "robot steps of each training; default: the recipe's total_frames"
     own.add_argument("--frames", type=number_in(int, 1, 10**15), metavar="N", help=text)
     own.add_argument("--seeds", type=number_in(int, 1, 1000), metavar="N", help="trainings of each; default: 3")
-    own.add_argument("--config", type=path, metavar="FILE", help="settings of all trainings, as of train --config")
+    own.add_argument("--config", type=file_path, metavar="FILE", help="settings of all trainings, as of train --config")
 
 
 def reproduce(arguments: argparse.Namespace) -> None:

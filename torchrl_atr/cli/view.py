@@ -5,33 +5,28 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from torchrl_atr.cli.option_types import number_in, run_folder, seed
+
 _LINGER = 30.0
 """Seconds after the last browser has left until a demo ends: enough to load the page anew."""
 
 
-def add_view(parser: argparse.ArgumentParser, number_in: Any, seed: Any, run: Any) -> None:
-    """Add the options of ``view`` to its parser; its ``--checkpoint`` and ``--import`` are everybody's.
-
-    Args:
-        parser: of the command.
-        number_in: makes the type of a number in a range.
-        seed: type of a seed.
-        run: type of the folder of a run, or of a policy's name.
-    """
-    _add_common(parser, number_in, run)
+def add_view(parser: argparse.ArgumentParser) -> None:
+    """Add the options of ``view`` to its parser; its ``--checkpoint`` and ``--import`` are everybody's."""
+    _add_common(parser)
     parser.add_argument("--robots", type=number_in(int, 1, 16), default=1, help="several have bodies of their own")
     parser.add_argument("--sensors", metavar="NAME", help="ideal, realistic or a custom set; default: the run's")
     parser.add_argument("--seed", type=seed, default=0)
 
 
-def add_demo(parser: argparse.ArgumentParser, number_in: Any, run: Any) -> None:
+def add_demo(parser: argparse.ArgumentParser) -> None:
     """Add the options of ``demo`` to its parser."""
-    _add_common(parser, number_in, run)
+    _add_common(parser)
 
 
-def _add_common(parser: argparse.ArgumentParser, number_in: Any, run: Any) -> None:
+def _add_common(parser: argparse.ArgumentParser) -> None:
     text = "name of an installed policy, or the folder of a run or bundle; default: an installed one, or the newest run"
-    parser.add_argument("policy", type=run, nargs="?", metavar="POLICY", help=text)
+    parser.add_argument("policy", type=run_folder, nargs="?", metavar="POLICY", help=text)
     text = "default: 8080, or the next one that is free; 0: any"
     parser.add_argument("--port", type=number_in(int, 0, 65535), metavar="N", help=text)
     text = "address to listen on; default: 127.0.0.1, which other machines do not reach"
