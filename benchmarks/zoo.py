@@ -24,6 +24,7 @@ from torchrl_atr import cli
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import say
 from torchrl_atr.deploy.manifest import POLICY, is_bundle, read_manifest
+from torchrl_atr.evaluation.intervals import share_text, wilson
 from torchrl_atr.training import TrainConfig, make_config
 from torchrl_atr.training.provenance import cores, machine
 
@@ -244,8 +245,7 @@ def _up(metrics: Mapping[str, Any]) -> str:
     if not metrics:
         return "-"
     share, n = metrics["survival"], metrics["n"]
-    low, high = metrics.get("survival_interval") or scorecard.wilson(round(share * n), n)
-    return f"{share:.0%} [{low:.0%}, {high:.0%}]"
+    return share_text(share, metrics.get("survival_interval") or wilson(round(share * n), n))
 
 
 def _number(value: float | None) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 from collections.abc import Callable
 from functools import partial
@@ -108,13 +107,10 @@ class _Unfinished:
 
     def __init__(self, arguments: argparse.Namespace, networks: ROANetworks) -> None:
         self.path = arguments.output / _UNFINISHED
+        from torchrl_atr.comparison.study import fingerprint
+
         told = {name: str(value) for name, value in vars(arguments).items() if name not in ("parser", "parameters")}
-        digest = hashlib.sha256()
-        for name, value in networks.state_dict().items():
-            digest.update(name.encode())
-            if hasattr(value, "detach"):  # a tensor; others are an estimator's own
-                digest.update(value.detach().cpu().numpy().tobytes())
-        self.settings = {**told, "command_range": str(networks.command_range), "weights": digest.hexdigest()}
+        self.settings = {**told, "command_range": str(networks.command_range), "weights": fingerprint(networks)}
 
     def read(self) -> list[dict[str, Any]]:
         """Return the rows that are there, if they are of the same options and weights."""

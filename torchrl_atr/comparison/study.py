@@ -192,8 +192,9 @@ class Study:
 
 
 def fingerprint(networks: ROANetworks) -> str:
-    """Return a hash of all weights, 16 hexadecimal digits."""
+    """Return a hash of all weights, 16 hexadecimal digits; other state, an estimator's own, does not count."""
     digest = hashlib.sha256()
     for name, value in sorted(networks.state_dict().items()):
-        digest.update(name.encode() + value.numpy().tobytes())
+        if isinstance(value, torch.Tensor):
+            digest.update(name.encode() + value.detach().cpu().numpy().tobytes())
     return digest.hexdigest()[:16]

@@ -93,8 +93,8 @@ def _sweeps(run: Path) -> list[str]:
     for protocol, (title, table) in _SWEEPS.items():
         metrics = _read(run / protocol / "metrics.json")
         if metrics is not None:
-            lines += [f"## {title}", "", f"`torchrl-atr evaluate RUN --protocol {protocol}`: {table(metrics)[0]}"]
-            lines += [*table(metrics)[1:], ""]
+            first, *rest = table(metrics)
+            lines += [f"## {title}", "", f"`torchrl-atr evaluate RUN --protocol {protocol}`: {first}", *rest, ""]
     return lines
 
 

@@ -16,6 +16,7 @@ from torchrl_atr.envs.models import ROBOTS, TRANSPORTER_DESIGNS, TRANSPORTERS, S
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import base_env
 from torchrl_atr.evaluation.endurance import EnduranceResult, evaluate_endurance
+from torchrl_atr.evaluation.intervals import share_text
 from torchrl_atr.evaluation.ride import MAX_ROBOTS, build_env, key_name
 from torchrl_atr.evaluation.robustness import row_of, shifted
 
@@ -227,10 +228,9 @@ def compatibility_table(metrics: Mapping[str, Any]) -> list[str]:
         if "refused" in cell:
             lines.append(f"| {' | '.join(named)} | cannot: {cell['refused']} | - | - |")
             continue
-        low, high = cell["survival_interval"]
         errors = [cell["settled_speed_error"], cell["settled_yaw_error"]]
         figures = [
-            f"{cell['survival']:.0%} [{low:.0%}, {high:.0%}]",
+            share_text(cell["survival"], cell["survival_interval"]),
             *("-" if e is None else f"{e:.2f}" for e in errors),
         ]
         lines.append(f"| {' | '.join([*named, *figures])} |")

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 
+from torchrl_atr.evaluation.intervals import share_text
 from torchrl_atr.evaluation.plotting import GREY, SHARES, STYLE, hatch_handle, save, subplots
 
 _DARK = 0.55
@@ -52,7 +53,6 @@ def _named(name: str, own: str) -> str:
 def _text(cell: Mapping[str, Any]) -> str:
     if "refused" in cell:
         return "cannot"
-    low, high = cell["survival_interval"]
     errors = [cell["settled_speed_error"], cell["settled_yaw_error"]]
     second = ", ".join("-" if error is None else f"{error:.2f}" for error in errors)
-    return f"{cell['survival']:.0%} [{low:.0%}, {high:.0%}]\n{second}"
+    return f"{share_text(cell['survival'], cell['survival_interval'])}\n{second}"

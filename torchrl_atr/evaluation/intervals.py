@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
@@ -113,3 +115,14 @@ def mean_interval(values: Array) -> tuple[float, tuple[float, float] | None]:
         (2.0, (2.0, 2.0))
     """
     return bootstrap_difference(values, np.zeros(len(values)), paired=True)
+
+
+def share_text(share: float, interval: Sequence[float]) -> str:
+    """Return a share and its interval as text.
+
+    Example:
+        >>> share_text(0.9, (0.84, 0.95))
+        '90% [84%, 95%]'
+    """
+    low, high = interval
+    return f"{share:.0%} [{low:.0%}, {high:.0%}]"

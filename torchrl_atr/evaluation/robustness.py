@@ -15,6 +15,7 @@ from torchrl_atr.evaluation.access import base_env
 from torchrl_atr.evaluation.conditions import BASELINE, REGIONS, Condition, Sweep, describe, sweeps_of
 from torchrl_atr.evaluation.endurance import EnduranceResult, evaluate_endurance
 from torchrl_atr.evaluation.endurance_metrics import endurance_metrics
+from torchrl_atr.evaluation.intervals import share_text
 from torchrl_atr.evaluation.ride import MAX_ROBOTS, build_env
 
 Row = dict[str, Any]
@@ -223,8 +224,7 @@ def robustness_table(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def _up(row: Mapping[str, Any]) -> str:
-    low, high = row["survival_interval"]
-    return f"{row['survival']:.0%} [{low:.0%}, {high:.0%}]"
+    return share_text(row["survival"], row["survival_interval"])
 
 
 def _value(value: float | str, unit: str) -> str:

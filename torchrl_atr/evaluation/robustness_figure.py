@@ -11,10 +11,10 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from torchrl_atr.evaluation.plotting import COLOURS, GREY, STYLE, save
+from torchrl_atr.evaluation.plotting import COLOURS, GREY, PALETTE, STYLE, save
 
 _COLUMNS = 4
-_UP = "#009E73"
+_UP = PALETTE[2]
 _TRAINING, _TEST = "0.84", "0.93"
 
 

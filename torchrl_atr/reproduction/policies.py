@@ -107,11 +107,13 @@ def load_policies(given: Iterable[str], imports: Sequence[str] = (), option: str
                 f"{option} {text}: {found[policy.name].folder} is of {policy.name}, too; give one policy for each pair"
             )
         found[policy.name] = policy
-    return sorted(found.values(), key=lambda each: (each.name not in PAIRS, *_order(each.name)))
+    return _in_order(found.values())
 
 
-def _order(name: str) -> tuple[int, str]:
-    return (PAIRS.index(name) if name in PAIRS else 0), name
+def _in_order(found: Iterable[RiderPolicy]) -> list[RiderPolicy]:
+    """Return policies in the order of the paper's pairs, others by name behind them."""
+    order = {name: number for number, name in enumerate(PAIRS)}
+    return sorted(found, key=lambda each: (order.get(each.name, len(order)), each.name))
 
 
 def installed_policies(imports: Sequence[str] = ()) -> list[RiderPolicy]:
@@ -120,4 +122,4 @@ def installed_policies(imports: Sequence[str] = ()) -> list[RiderPolicy]:
     for name in policies():
         policy = load_policy(name, imports)
         found.setdefault(policy.name, policy)
-    return sorted(found.values(), key=lambda each: (each.name not in PAIRS, *_order(each.name)))
+    return _in_order(found.values())

@@ -37,7 +37,7 @@ class GroupErrors:
     def __call__(self, exact: Tensor, columns: slice = slice(None)) -> Tensor:
         """Return the measured values, given the exact values of ``columns``."""
         size, delay = self.offset.shape[-1], self.delay[:, columns]
-        if self.before.shape[-1] == size:
+        if self.before.shape[-1] == size:  # at most one step late, as robots are: no gather in every step
             late = torch.lerp(exact, self.before[:, columns], delay)
         else:
             past = self.before.unflatten(-1, (-1, size))[..., columns]
