@@ -63,3 +63,4 @@ def test_what_waits_for_the_gpu_is_named_as_the_reason():
     with pytest.raises(InputError, match=r"cannot become a CUDA graph .* do without compiled"):
         graph(ones)
     assert (ones["x"] + 1).tolist() == [2, 2]
+    assert torch.rand(2, device="cuda").isfinite().all()  # random numbers can still be drawn

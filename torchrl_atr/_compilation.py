@@ -115,10 +115,13 @@ class CudaGraph:
 
     def _capture(self, inputs: TensorDictBase) -> tuple[torch.cuda.CUDAGraph, TensorDictBase, TensorDictBase]:
         graph, read = torch.cuda.CUDAGraph(), inputs.clone()
+        generator = torch.cuda.default_generators[torch.cuda.current_device()]
+        state = generator.clone_state()
         try:
             with torch.cuda.graph(graph):  # nothing is computed yet
                 written = self.function(read)
         except RuntimeError as error:
+            generator.graphsafe_set_state(state)  # a capture that failed leaves it unable to draw
             raise InputError(
                 f"compiled=True: this cannot become a CUDA graph ({first_line(error)}); a module in it waits for the "
                 "GPU, as .item() and an if on a tensor do, or sends data there: change that, or do without compiled"

@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from torchrl_atr.envs import make_riding_env
+from torchrl_atr.envs import make_env, make_riding_env
 from torchrl_atr.modules import DeviceBridge
 from torchrl_atr.training import Trainer, checkpoint_config, load_checkpoint, load_run, make_config, make_run_networks
 
@@ -62,11 +62,11 @@ def learned(tmp_path, **settings):
 @pytest.fixture
 def uncompiled_env(monkeypatch):
     """What ``compiled`` does on a GPU alone: the env's functions stay eager."""
-    monkeypatch.setattr("torchrl_atr.training.assembly.make_riding_env", _eager_env)
+    monkeypatch.setattr("torchrl_atr.envs.make_env", _eager_env)
 
 
-def _eager_env(**arguments):
-    return make_riding_env(**{**arguments, "compiled": False})
+def _eager_env(task, **arguments):
+    return make_env(task, **{**arguments, "compiled": False})
 
 
 def test_captured_steps_do_what_the_eager_ones_do(tmp_path, uncompiled_env):
