@@ -11,7 +11,6 @@ import shutil
 import sys
 from pathlib import Path
 
-import pandas as pd
 import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the version that this clone reads, whatever is installed
@@ -20,7 +19,7 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
 from torchrl_atr.training import load_checkpoint
 from torchrl_atr.training.checkpoint import NAME
-from torchrl_atr.training.run_files import CONFIG, MODEL
+from torchrl_atr.training.run_files import CONFIG, MODEL, ORIGIN, copy_log
 
 ROWS = 500
 """Of the published log, at most."""
@@ -41,13 +40,11 @@ def publish(run: Path, output: Path) -> None:
     output.mkdir(parents=True, exist_ok=True)
     with atomic(output / NAME) as temporary:
         torch.save(state, temporary)
-    for name in (CONFIG, "run.json"):
+    for name in (CONFIG, ORIGIN):
         shutil.copyfile(run / name, output / name)
     if (run / MODEL).is_dir():
         shutil.copytree(run / MODEL, output / MODEL, dirs_exist_ok=True)
-    log = pd.read_csv(run / "progress.csv")
-    with atomic(output / "progress.csv") as temporary:
-        log.iloc[:: -(-len(log) // ROWS)].to_csv(temporary, index=False, float_format="%.6g")
+    copy_log(run, output, ROWS)
 
 
 def main(arguments: list[str] | None = None) -> int:

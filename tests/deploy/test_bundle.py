@@ -20,6 +20,7 @@ from torchrl_atr.deploy import manifest as manifests
 from torchrl_atr.deploy.card import card, check_scorecard
 from torchrl_atr.deploy.export import LARGEST, export_run
 from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, WEIGHTS, report_home
+from torchrl_atr.deploy.reports import copy_reports
 from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import ROBOTS
 from torchrl_atr.modules import CommandClippedPolicy
@@ -123,13 +124,31 @@ def test_an_installed_bundle_is_a_name_wherever_a_run_is(bundle, tmp_path, monke
         arguments = build_parser().parse_args([words[0], "mine", *words[1:]])
         given = {getattr(arguments, name, None) for name in ("run", "policy", "bundle")}
         assert tmp_path / "policies" / "mine" in given
-    for words in (["export", "mine"], ["plot", "mine"], ["plot", "ours=mine"]):
-        assert main([*words, "--output", "other"]) == 2
-        assert "bundle" in capsys.readouterr().err
+    assert main(["export", "mine", "--output", "other"]) == 2
+    assert "bundle" in capsys.readouterr().err
+    assert main(["plot", "ours=mine", "--output", "figures"]) == 0
+    drawn = [Path(line).stem for line in capsys.readouterr().out.split()]
+    assert drawn == ["learning_curves", "endurance", "command_area"]
     assert report_home(tmp_path / "policies" / "mine") == Path("runs/a1-single_board")
     session = Session(Setup(tmp_path / "policies" / "mine"))
     session.steer(1.0, 0.0)
     assert session.step().actual.shape == (2,)
+
+
+def test_reports_of_another_training_stay_behind(tmp_path):
+    run, folder = tmp_path / "run", tmp_path / "bundle"
+    for protocol, frames in {"endurance": 2, "tracking": 1}.items():
+        (run / protocol).mkdir(parents=True)
+        (run / protocol / "metrics.json").write_text(json.dumps({"run": {"frames": frames}}))
+    (run / "run.json").write_text(json.dumps({"frames": 2}))
+    (run / "progress.csv").write_text("frames\n" + "\n".join(str(row) for row in range(1200)))
+    folder.mkdir()
+    copy_reports(run, folder)
+    assert sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.*")) == [
+        "endurance/metrics.json",
+        "progress.csv",
+    ]
+    assert len((folder / "progress.csv").read_text().split()) == 1 + 200  # every sixth row
 
 
 def _remove(folder):

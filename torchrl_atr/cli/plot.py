@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 
-from torchrl_atr._errors import UserError
 from torchrl_atr._files import folder_for, say
 from torchrl_atr.cli.option_types import file_path
-from torchrl_atr.deploy.manifest import find_policy, is_bundle, report_home
+from torchrl_atr.deploy.manifest import find_policy
 
 
 def add_plot(parser: argparse.ArgumentParser) -> None:
     """Add the options of ``plot`` to its parser."""
-    text = "folder of a run, or of a report of `evaluate`; runs of one label are seeds: a mean and a band"
+    text = "folder of a run, a bundle or a report of `evaluate`; those of one label are seeds: a mean and a band"
     parser.add_argument("runs", nargs="+", metavar="[LABEL=]RUN", help=text)
     parser.add_argument("--output", type=file_path, required=True, metavar="DIR", help="where the figures go")
     parser.add_argument("--format", choices=("pdf", "svg", "png"), default="pdf", help="default: pdf")
@@ -24,14 +23,13 @@ def plot(arguments: argparse.Namespace) -> None:
     """Run ``torchrl-atr plot``."""
     from torchrl_atr.evaluation.set_figures import group_runs, plot_sets
 
-    for text in arguments.runs:
-        folder = find_policy(text.rpartition("=")[2])
-        if is_bundle(folder):
-            raise UserError(
-                f"{folder} is a policy bundle, which holds no log and no trials; give the run that it was exported "
-                f"from, or {report_home(folder)} after `torchrl-atr evaluate {folder}`"
-            )
-    sets = group_runs(arguments.runs)
+    sets = group_runs([_located(text) for text in arguments.runs])
     with folder_for(arguments.output) as folder:
         written = plot_sets(sets, folder, arguments.format, arguments.curves)
     say("\n".join(str(file) for file in written))
+
+
+def _located(text: str) -> str:
+    """Return ``[LABEL=]RUN`` with the folder of an installed policy in place of its name."""
+    label, mark, run = text.rpartition("=")
+    return f"{label}{mark}{find_policy(run)}"

@@ -25,6 +25,7 @@ from torchrl_atr.deploy.loading import load_policy
 from torchrl_atr.deploy.manifest import CARD, EPISODE, MANIFEST, POLICY, SCENE, is_bundle, seal, sha256
 from torchrl_atr.deploy.parity import Parity, verify
 from torchrl_atr.deploy.policy_step import INPUTS, STATE, PolicyStep, StepOutput
+from torchrl_atr.deploy.reports import copy_reports
 from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import scene_xml
 from torchrl_atr.modules import CommandRange
@@ -92,6 +93,7 @@ def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoin
     write_weights(folder, state)
     if (run / MODEL).is_dir():
         shutil.copytree(run / MODEL, folder / MODEL)
+    copy_reports(run, folder)
     _seal(folder, manifest)  # the policy is loaded from the bundle itself: its weights are compared, too
     episode: dict[str, Any] = record(load_policy(folder, imports))
     np.savez_compressed(folder / EPISODE, **episode)

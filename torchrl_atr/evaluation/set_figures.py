@@ -104,8 +104,8 @@ def _held(path: Path) -> dict[str, Any]:
                     held["trials"] = trials
     if not held:
         raise InputError(
-            f"{path} has neither progress.csv nor metrics.json of an evaluation; give the folder of a run, or of "
-            "the report of `torchrl-atr evaluate`"
+            f"{path} has neither progress.csv nor metrics.json of an evaluation; give the folder of a run, of its "
+            "bundle, or of the report of `torchrl-atr evaluate`"
         )
     return held
 

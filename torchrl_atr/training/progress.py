@@ -15,6 +15,7 @@ from torchrl_atr._files import atomic, naming, say
 from torchrl_atr._text import number
 from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.loggers import make_logger
+from torchrl_atr.training.run_files import LOG
 
 if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
@@ -91,7 +92,7 @@ class Progress:
         title: str = "",
     ) -> None:
         self.run, self.config, self.logger, self.title = run, config, logger, title
-        self._csv_path, self._resume_from = run / "progress.csv", resume_from
+        self._csv_path, self._resume_from = run / LOG, resume_from
         self._fields: list[str] = []
         if resume_from is None:
             self._csv_path.unlink(missing_ok=True)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
-from torchrl_atr._files import naming
+import pandas as pd
+
+from torchrl_atr._files import atomic, naming
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS
@@ -19,6 +21,10 @@ MODEL = "model"
 """Folder of a run that holds its robot's and its transporter's files."""
 CONFIG = "config.toml"
 """File of a run that holds its settings, to be edited and started from."""
+ORIGIN = "run.json"
+"""File of a run that holds its provenance."""
+LOG = "progress.csv"
+"""File of a run that holds the metrics of every iteration."""
 DUMPS = "diverged"
 """Folder of a run for the dumps of simulations that failed."""
 
@@ -53,10 +59,21 @@ def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
 
 def clear(run: Path) -> None:
     """Remove what an earlier run wrote to the folder: two runs' checkpoints and logs must not mix."""
-    for name in (NAME, PREVIOUS, BEST, "progress.csv", "mlflow.db"):
+    for name in (NAME, PREVIOUS, BEST, LOG, "mlflow.db"):
         (run / name).unlink(missing_ok=True)
     for name in ("tensorboard", "wandb", DUMPS):
         shutil.rmtree(run / name, ignore_errors=True)
+
+
+def copy_log(run: Path, folder: Path, rows: int, columns: Collection[str] | None = None) -> None:
+    """Copy every so many rows of a run's log, ``rows`` at most, into another folder; all columns unless named.
+
+    Raises:
+        OSError: if there is no log, or it cannot be written.
+    """
+    log = pd.read_csv(run / LOG, usecols=columns and (lambda name: name in columns))
+    with atomic(folder / LOG) as temporary:
+        log.iloc[:: max(1, -(-len(log) // rows))].to_csv(temporary, index=False, float_format="%.6g")
 
 
 def stored_settings(config: TrainConfig, run: Path) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from torchrl_atr.training.progress import Progress
 from torchrl_atr.training.provenance import provenance
 from torchrl_atr.training.restoring import check_model
 from torchrl_atr.training.reward_schedule import check_reward_terms
-from torchrl_atr.training.run_files import CONFIG, clear, keep_files, stored_settings
+from torchrl_atr.training.run_files import CONFIG, ORIGIN, clear, keep_files, stored_settings
 
 if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
@@ -251,7 +251,7 @@ class Trainer:
         """Write the checkpoint (config, learner, curriculum, collection, counters) and its provenance."""
         model, parts = None if self._model is None else digest(self._model), self.parts.names
         origin = provenance(self.config, self.run, model, self.frames, self.seconds, self._start, parts)
-        write_json(self.run / "run.json", origin)
+        write_json(self.run / ORIGIN, origin)
         known = self.iteration > 1 / _MEMORY and self.reward != 0.0  # it is 0 for an env without episode rewards
         best = known and self.reward > self.best_reward
         self.best_reward = self.reward if best else self.best_reward
