@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from torchrl_atr.deploy.loading import load_policy
 
 __all__ = ["__version__", "load_policy"]
-__version__ = "0.1.0.dev0"
+__version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:

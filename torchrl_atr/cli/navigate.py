@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from torchrl_atr._files import folder_for, say, whole
-from torchrl_atr.cli.option_types import number_in, run_folder, seed
+from torchrl_atr.cli.option_types import file_path, number_in, run_folder, seed
 from torchrl_atr.cli.printing import step_progress
 from torchrl_atr.deploy.manifest import report_home
 
@@ -38,7 +38,7 @@ def add_navigate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--sensors", metavar="NAME", help="default: the run's")
     parser.add_argument(
-        "--output", type=run_folder, help="default: RUN/navigation/MAP, of a policy runs/NAME/navigation/MAP"
+        "--output", type=file_path, help="default: RUN/navigation/MAP, of a policy runs/NAME/navigation/MAP"
     )
 
 
