@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,8 @@ from torchrl_atr.cli import main
 from torchrl_atr.comparison import CompareOptions, ComparisonError, Study, load_recording, record, study
 from torchrl_atr.comparison import recording as recording_module
 from torchrl_atr.comparison.fitting import config_with, estimator_weights, networks_with
+from torchrl_atr.comparison.recording import Window
+from torchrl_atr.comparison.summary import by_history
 from torchrl_atr.modules.estimators import _ESTIMATORS
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, Trainer, load_run, make_config, make_env
 
@@ -156,3 +159,44 @@ def test_a_recording_holds_rides_as_the_estimators_meet_them(loaded, tmp_path, m
     with torch.no_grad():
         latent = networks.encoder_module(data.select(("privileged", "intrinsic")))["latent", "intrinsic"]
     torch.testing.assert_close(latent, data["latent", "intrinsic"])
+    everything = torch.arange(4).unsqueeze(1), torch.arange(50).unsqueeze(0)
+    for length in (3, 10, 25):
+        longer = Window(length, False, "observation", "history").take(data, *everything)["history"]
+        shown = min(length, 10)
+        torch.testing.assert_close(longer[..., -shown:, :], history[..., -shown:, :])
+        whole = make_env(config_with(config, "mlp", length), num_envs=1, seed=0, **DEPLOYMENT_OVERRIDES)
+        assert whole.observation_spec["history"].shape[-2:] == longer.shape[-2:]
+    assert torch.equal(longer[..., 0, :][age < 25], observation[first][_ride_of(first)][age < 25])
+
+
+def _ride_of(first):
+    """Number of each step's ride, in the order of ``observation[first]``."""
+    return (first.flatten().cumsum(0) - 1).reshape(first.shape)
+
+
+def test_histories_of_other_lengths_are_rows_of_their_own(run, tmp_path, capsys):
+    asked = ["compare", str(run), "--quick", "--seconds", "0.4", "--output", str(tmp_path / "report")]
+    assert main([*asked, "--estimators", "mlp", "gru", "--history-lengths", "3", "10", "14"]) == 0
+    (figures,) = json.loads((tmp_path / "report" / "comparison.json").read_text())["sensors"].values()
+    rows = figures["estimators"]
+    assert list(rows) == ["truth", "as trained", "mlp", "gru", "mlp, 3 steps", "mlp, 14 steps"]
+    parameters = [row["parameters"] for row in by_history(rows)["mlp"]]
+    assert len(set(parameters)) == 3
+    assert parameters == sorted(parameters)
+    assert list(by_history(rows)) == ["mlp"]
+    assert (tmp_path / "report" / "history_realistic.png").is_file()
+    page = (tmp_path / "report" / "README.md").read_text()
+    assert "history_realistic.png" in page
+    assert "| state | as trained | mlp | gru |" in page, "tables of states show the run's length alone"
+    assert "--history-lengths 3 10 14" in page
+    capsys.readouterr()
+    assert main([*asked, "--estimators", "mlp"]) == 0
+    assert ": trained in" not in capsys.readouterr().out
+
+
+def test_a_policy_that_reads_the_history_has_no_other_lengths(loaded, tmp_path):
+    config, env, networks = loaded
+    reads = dataclasses.replace(config.roa, actor_reads=("history", "latent", "extrinsic"))
+    study = Study(dataclasses.replace(config, roa=reads), env, networks, tmp_path, CompareOptions())
+    with pytest.raises(ComparisonError, match="this run's actor reads the history itself, of 10 steps"):
+        study.run(["mlp"], "realistic", [5])

@@ -34,6 +34,8 @@ def add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=number_in(float, 0.1, 86400), help="of the recording and a ride; default: 60")
     parser.add_argument("--updates", type=number_in(int, 1, 10**9), help="of each estimator; default: 1000")
     parser.add_argument("--batch", type=number_in(int, 1, 10**7), help="control steps in an update; default: 1024")
+    text = "further histories, in control steps, to train those of a window on; default: the run's length alone"
+    parser.add_argument("--history-lengths", nargs="+", type=number_in(int, 1, 1000), metavar="H", help=text)
     parser.add_argument("--seeds", type=number_in(int, 1, 1000), help="trainings of each estimator; default: 3")
     parser.add_argument("--seed", type=seed, help="of the recording and the first training; default: 0")
     parser.add_argument("--randomization", choices=("train", "test", "off"), help="default: train")
@@ -61,7 +63,7 @@ def compare(arguments: argparse.Namespace) -> None:
         study = Study(config, env, networks, output, options, announce=say, tick=threads.update)
         figures = {}
         for sensors in dict.fromkeys(arguments.sensors or [config.task.sensors]):
-            recording, outcomes = study.run(estimators, sensors)
+            recording, outcomes = study.run(estimators, sensors, arguments.history_lengths or ())
             figures[sensors] = summarize(networks, recording, outcomes)
         metrics = {
             "command": _command(arguments, estimators, list(figures), sizes),
@@ -79,6 +81,8 @@ def _command(arguments: argparse.Namespace, estimators: Sequence[str], sensors: 
     """Return the command that makes the same comparison again."""
     words = ["torchrl-atr", "compare", str(arguments.run), "--estimators", *estimators, "--sensors", *sensors]
     words += [word for name, value in sizes.items() for word in (f"--{name.replace('_', '-')}", str(value))]
+    if arguments.history_lengths:
+        words += ["--history-lengths", *map(str, arguments.history_lengths)]
     words += [word for module in arguments.imports or () for word in ("--import", module)]
     words += ["--checkpoint", "best"] * (arguments.checkpoint == "best") + ["--quick"] * arguments.quick
     return shlex.join([*words, "--output", str(arguments.output)])

@@ -10,6 +10,8 @@ import numpy as np
 from matplotlib import colormaps, rc_context
 from numpy.typing import NDArray
 
+from torchrl_atr.comparison.summary import by_history
+from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.plotting import GREY, STYLE, save, subplots
 
 _COLOURS = "tab10"
@@ -73,4 +75,28 @@ def plot_drift(estimators: Mapping[str, Any], path: str | Path) -> Path:
         axis.set(xlabel="time in the ride [s]", ylabel="error [standard deviations]", ylim=(0.0, None))
         axis.grid(alpha=0.25)
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        return save(figure, path)
+
+
+def plot_history(estimators: Mapping[str, Any], path: str | Path) -> Path:
+    """Plot the errors of the extrinsic states and of the latent against the length of the history, with 95 % intervals.
+
+    Args:
+        estimators: as for :func:`plot_components`; those of a single length are left out.
+        path: the PNG to write.
+    """
+    with rc_context(STYLE):
+        figure, axes = subplots(1, 2, figsize=(9.0, 3.6))
+        for number, (name, rows) in enumerate(by_history(estimators).items()):
+            seconds = CONTROL_DT * np.array([row["history_length"] for row in rows])
+            for axis, found in zip(axes, ([row["error"] for row in rows], [row["latent"]["rmse"] for row in rows])):
+                value, low, high = (
+                    np.array([each[key] for each in found], dtype=np.float64) for key in ("value", "low", "high")
+                )
+                axis.fill_between(seconds, low, high, color=colormaps[_COLOURS](number % 10), alpha=0.15, lw=0)
+                axis.plot(seconds, value, color=colormaps[_COLOURS](number % 10), lw=1.5, marker=".", label=name)
+        for axis, what in zip(axes, ("extrinsic states [standard deviations]", "latent [norm]")):
+            axis.set(title=f"error of the {what}", xlabel="history [s]", ylim=(0.0, None))
+            axis.grid(alpha=0.25)
+        axes[1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return save(figure, path)

@@ -16,7 +16,7 @@ from torchrl.modules import set_recurrent_mode
 
 from torchrl_atr._files import atomic
 from torchrl_atr.comparison.options import CompareOptions, ComparisonError
-from torchrl_atr.comparison.recording import Recording
+from torchrl_atr.comparison.recording import AGE, Recording, Window, take
 from torchrl_atr.modules import ROANetworks
 from torchrl_atr.modules.estimators import state_keys, state_shapes
 from torchrl_atr.training import TrainConfig, make_run_loss, make_run_networks
@@ -26,10 +26,21 @@ _CHUNK = 8192
 """Steps that estimates are made of at once, as long as that is one robot or more."""
 
 
-def config_with(config: TrainConfig, name: str) -> TrainConfig:
-    """Return a run's settings with another estimator, whose arguments are its defaults; the run's own keeps its own."""
+def config_with(config: TrainConfig, name: str, history_length: int | None = None) -> TrainConfig:
+    """Return a run's settings with another estimator, whose arguments are its defaults; the run's own keeps its own.
+
+    Args:
+        config: of the run.
+        name: of the estimator.
+        history_length: H, of its histories; None for the run's.
+    """
     arguments = config.estimator.arguments if name == config.estimator.name else {}
-    return dataclasses.replace(config, estimator=dataclasses.replace(config.estimator, name=name, arguments=arguments))
+    length = config.env.history_length if history_length is None else history_length
+    return dataclasses.replace(
+        config,
+        env=dataclasses.replace(config.env, history_length=length),
+        estimator=dataclasses.replace(config.estimator, name=name, arguments=arguments),
+    )
 
 
 def networks_with(config: TrainConfig, env: EnvBase, networks: ROANetworks) -> ROANetworks:
@@ -63,6 +74,7 @@ def fit(
     options: CompareOptions,
     seed: int,
     tick: Callable[[], None] = lambda: None,
+    window: Window | None = None,
 ) -> None:
     """Train the estimators on a recording by the run's own loss and optimiser; the rate falls to zero by a cosine.
 
@@ -76,13 +88,15 @@ def fit(
         options: updates, batch and length of a sequence.
         seed: of the batches.
         tick: called after every update.
+        window: what they read of the recording as history; None for the recorded one.
     """
     loss: Any = make_run_loss(config, networks)
     parameters = list(networks.estimator_parameters())
     optimizer = torch.optim.Adam(parameters, lr=config.estimator.learning_rate, fused=True)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, options.updates)
     networks.train()
-    for batch in _batches(networks, recording.train.select(*entries_read(networks)), options, seed):
+    read = [*entries_read(networks), *(() if window is None else (AGE, window.observation))]
+    for batch in _batches(networks, recording.train.select(*read), options, seed, window):
         terms = loss.adaptation_loss(batch)
         optimizer.zero_grad()
         torch.stack([value for key, value in terms.items() if key.startswith("loss_")]).sum().backward()
@@ -94,7 +108,7 @@ def fit(
 
 
 def _batches(
-    networks: ROANetworks, data: TensorDictBase, options: CompareOptions, seed: int
+    networks: ROANetworks, data: TensorDictBase, options: CompareOptions, seed: int, window: Window | None
 ) -> Iterator[TensorDictBase]:
     """Yield batches of random steps, (batch,), or of random sequences, (batch / sequence, sequence)."""
     draw = torch.Generator().manual_seed(seed)
@@ -106,9 +120,10 @@ def _batches(
         rows = torch.randint(robots, (count,), generator=draw)
         first = torch.randint(steps - length + 1, (count,), generator=draw)
         if recurrent:
-            yield with_first_state(networks, data[rows.unsqueeze(1), first.unsqueeze(1) + torch.arange(length)])
+            sequence = first.unsqueeze(1) + torch.arange(length)
+            yield with_first_state(networks, take(data, rows.unsqueeze(1), sequence, window))
         else:
-            yield data[rows, first]
+            yield take(data, rows, first, window)
 
 
 def with_first_state(networks: ROANetworks, data: TensorDictBase) -> TensorDictBase:
@@ -121,14 +136,24 @@ def with_first_state(networks: ROANetworks, data: TensorDictBase) -> TensorDictB
 
 
 @torch.no_grad()
-def estimates(networks: ROANetworks, data: TensorDictBase) -> Iterator[tuple[TensorDictBase, TensorDictBase]]:
+def estimates(
+    networks: ROANetworks, data: TensorDictBase, window: Window | None = None, every: int = 1
+) -> Iterator[tuple[TensorDictBase, TensorDictBase]]:
     """Yield steps of a recording, robots in order, and the estimates there, (n, T) each.
 
     Hidden states are carried from the beginning of the recording, and forgotten where a ride begins.
+
+    Args:
+        networks: with the estimators.
+        data: (N, T), of a recording.
+        window: what they read of it as history; None for the recorded one.
+        every: control steps from one that is estimated to the next; above 1 for estimators without a hidden state.
     """
-    rows = max(1, _CHUNK // data.shape[1])
+    steps = torch.arange(0, data.shape[1], every)
+    rows = max(1, _CHUNK // len(steps))
     for begin in range(0, data.shape[0], rows):
-        part = data[begin : begin + rows]
+        robots = torch.arange(begin, min(begin + rows, data.shape[0])).unsqueeze(1)
+        part = take(data, robots, steps.unsqueeze(0), window)
         told = with_first_state(networks, part)
         written = part.empty()
         with set_recurrent_mode(True):

@@ -78,6 +78,52 @@ class Recording:
             )
 
 
+@dataclass(frozen=True)
+class Window:
+    """Histories of another length than the recorded ones, made of the recorded observations.
+
+    Attributes:
+        length: H, observations of a history.
+        current: whether o_t is the newest of them, not o_{t-1} (question A19).
+        observation, history: entries of the observation and of its history.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> seen = torch.arange(6.0).reshape(1, 6, 1)
+        >>> age = torch.tensor([0, 1, 2, 0, 1, 2]).reshape(1, 6, 1)
+        >>> data = TensorDict({"observation": seen, AGE: age}, [1, 6])
+        >>> rows, steps = torch.tensor([0, 0]), torch.tensor([2, 4])
+        >>> Window(3, False, "observation", "history").take(data, rows, steps)["history"].squeeze(-1)
+        tensor([[0., 0., 1.],
+                [3., 3., 3.]])
+    """
+
+    length: int
+    current: bool
+    observation: NestedKey
+    history: NestedKey
+
+    def take(self, data: TensorDictBase, rows: Tensor, steps: Tensor) -> TensorDictBase:
+        """Return some steps of a recording (N, T) with their histories; before a ride has H steps these begin with o_0.
+
+        Args:
+            data: with the observation and :data:`AGE`.
+            rows: robots of the wanted steps.
+            steps: their control steps; both shapes broadcast.
+        """
+        back = torch.arange(self.length, 0, -1) - int(self.current)
+        rows, steps = torch.broadcast_tensors(rows, steps)
+        before = torch.minimum(back, data[AGE][rows, steps])
+        history = data[self.observation][rows.unsqueeze(-1), steps.unsqueeze(-1) - before]
+        return data[rows, steps].set(self.history, history)
+
+
+def take(data: TensorDictBase, rows: Tensor, steps: Tensor, window: Window | None) -> TensorDictBase:
+    """Return some steps of a recording, with the recorded histories or those of ``window``."""
+    return data[rows, steps] if window is None else window.take(data, rows, steps)
+
+
 def load_recording(folder: Path) -> Recording:
     """Return the recording in a folder, which stays on disk."""
     about = json.loads((folder / _ABOUT).read_text(encoding="utf-8"))

@@ -9,10 +9,11 @@ from urllib.parse import quote
 
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr._text import markdown_table
+from torchrl_atr.comparison.summary import by_history, own_length
 
 
 def write_comparison(metrics: Mapping[str, Any], folder: str | Path) -> dict[str, Path]:
-    """Write ``comparison.json``, ``README.md`` and, for each set of sensors, two figures; return the files by name.
+    """Write ``comparison.json``, ``README.md`` and, for each set of sensors, its figures; return the files by name.
 
     Args:
         metrics: ``sensors``, by name what :func:`~torchrl_atr.comparison.summarize` returns, ``settings`` and ``run``.
@@ -21,15 +22,18 @@ def write_comparison(metrics: Mapping[str, Any], folder: str | Path) -> dict[str
     Raises:
         ValueError: if ``metrics`` holds NaN or infinity, which JSON cannot.
     """
-    from torchrl_atr.comparison.figures import plot_components, plot_drift  # imports matplotlib
+    from torchrl_atr.comparison.figures import plot_components, plot_drift, plot_history  # imports matplotlib
 
     folder = Path(folder)
     files = {"comparison.json": folder / "comparison.json", "README.md": folder / "README.md"}
     write_json(files["comparison.json"], metrics, allow_nan=False)
     for sensors, figures in metrics["sensors"].items():
-        for plot, kind in ((plot_components, "components"), (plot_drift, "drift")):
+        rows = figures["estimators"]
+        plots = [("components", plot_components, own_length(rows)), ("drift", plot_drift, own_length(rows))]
+        plots += [("history", plot_history, rows)] if by_history(rows) else []
+        for kind, plot, shown in plots:
             name = _figure_file(kind, sensors)
-            files[name] = plot(figures["estimators"], folder / name)
+            files[name] = plot(shown, folder / name)
     with atomic(files["README.md"]) as file:
         file.write_text(page(metrics), encoding="utf-8")
     return files
@@ -85,6 +89,7 @@ def _section(sensors: str, figures: Mapping[str, Any]) -> Iterable[str]:
     head = ["estimator", "robots", "up at the end", "falls a minute", "speed error, m/s", "yaw rate error, rad/s"]
     yield markdown_table(head, [_ride(name, row["rides"]) for name, row in rows.items()])
     yield "Root mean square error of each extrinsic state (R² in parentheses):"
+    scored = own_length(scored)
     components = [row["components"] for row in scored.values()]
     body = [
         [
@@ -96,6 +101,8 @@ def _section(sensors: str, figures: Mapping[str, Any]) -> Iterable[str]:
     yield markdown_table(["state", *scored], body)
     yield f"![errors by state]({_figure_file('components', sensors)})"
     yield f"![errors by time in the ride]({_figure_file('drift', sensors)})"
+    if by_history(rows):
+        yield f"![errors by the length of the history]({_figure_file('history', sensors)})"
 
 
 def _ride(name: str, ride: Mapping[str, Any]) -> list[str]:

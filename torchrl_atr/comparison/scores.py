@@ -19,7 +19,7 @@ from torch.nn.functional import one_hot
 from torchrl_atr._files import atomic
 from torchrl_atr._threads import one_torch_thread
 from torchrl_atr.comparison.fitting import estimates, with_first_state
-from torchrl_atr.comparison.recording import AGE, Recording
+from torchrl_atr.comparison.recording import AGE, Recording, Window, take
 from torchrl_atr.comparison.statistics import LinearProbe, effective_dimension
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.modules import ROANetworks
@@ -84,20 +84,26 @@ class Scores:
         return Scores(**{name: value if value.ndim else value.item() for name, value in arrays.items()})
 
 
-def score(networks: ROANetworks, recording: Recording) -> Scores:
-    """Measure the estimators of networks on the validation robots; the probe learns from the robots for training."""
+def score(networks: ROANetworks, recording: Recording, window: Window | None = None) -> Scores:
+    """Measure the estimators of networks on the validation robots; the probe learns from the robots for training.
+
+    Args:
+        networks: with the estimators.
+        recording: to measure them on.
+        window: what they read of it as history; None for the recorded one.
+    """
     keys, data = networks.keys, recording.validation
     width = -(-data.shape[1] // BINS)
     bins = -(-data.shape[1] // width)
     sums, seen = [], []
-    for part, written in estimates(networks, data):
+    for part, written in estimates(networks, data, window):
         sums.append(_sums(networks, part, written, width, bins))
         seen.append(_pair(part[keys.intrinsic], written[keys.intrinsic_estimate]))
     # a hidden state needs every step
     every = 1 if any(map(state_keys, networks.estimator_modules)) else _EVERY
     known = [
         _pair(part[keys.intrinsic], written[keys.intrinsic_estimate], _EVERY // every)
-        for part, written in estimates(networks, recording.train[:, ::every])
+        for part, written in estimates(networks, recording.train, window, every)
     ]
     latents = np.concatenate([latent for latent, _ in seen])
     return Scores(
@@ -107,7 +113,7 @@ def score(networks: ROANetworks, recording: Recording) -> Scores:
         bin_seconds=width * CONTROL_DT,
         dimension=effective_dimension(latents.reshape(-1, latents.shape[-1])),
         parameters=sum(parameter.numel() for parameter in networks.estimator_parameters()),
-        microseconds=microseconds(networks, data[:1, 0]),
+        microseconds=microseconds(networks, take(data, torch.tensor([0]), torch.tensor([0]), window)),
     )
 
 

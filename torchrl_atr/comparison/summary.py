@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,8 @@ def summarize(networks: ROANetworks, recording: Recording, outcomes: Mapping[str
 
     Returns:
         ``recording``, its sizes; ``latent``, probe and effective dimension of the true latent; ``estimators``, by name:
-        figures of :func:`estimator_figures` and ``rides``. Nested dicts without NaN.
+        ``estimator`` and ``history_length``, None for a reference, figures of :func:`estimator_figures` and ``rides``.
+        Nested dicts without NaN.
     """
     data = recording.data
     probe, dimension = score_latent(networks, recording)
@@ -42,6 +44,8 @@ def summarize(networks: ROANetworks, recording: Recording, outcomes: Mapping[str
     }
     rows = {
         name: {
+            "estimator": outcome.estimator,
+            "history_length": outcome.history_length,
             **(estimator_figures(outcome.scores, recording) if outcome.scores else {}),
             "rides": ride_figures(outcome.rides),
         }
@@ -50,6 +54,34 @@ def summarize(networks: ROANetworks, recording: Recording, outcomes: Mapping[str
     one = {name: value[None] for name, value in probe.items()}
     latent = {"probe": _probe(one, recording.intrinsics), "effective_dimension": dimension}
     return without_nan(_plain({"recording": sizes, "latent": latent, "estimators": rows}))
+
+
+def by_history(estimators: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the rows of each estimator that was trained on histories of several lengths, shortest first.
+
+    Example:
+        >>> rows = {"mlp": {"history_length": 10}, "mlp, 5 steps": {"history_length": 5}, "gru": {"history_length": 10}}
+        >>> {name: row.setdefault("estimator", name.partition(",")[0]) for name, row in rows.items()}["mlp"]
+        'mlp'
+        >>> by_history(rows)["mlp"][0]["history_length"], list(by_history(rows))
+        (5, ['mlp'])
+    """
+    names = dict.fromkeys(row["estimator"] for row in estimators.values() if row["estimator"])
+    rows = {
+        name: sorted((row for row in estimators.values() if row["estimator"] == name), key=itemgetter("history_length"))
+        for name in names
+    }
+    return {name: found for name, found in rows.items() if len(found) > 1}
+
+
+def own_length(estimators: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the rows of references and of estimators that read histories of the run's length.
+
+    Example:
+        >>> list(own_length({"truth": {"estimator": None}, "mlp, 5 steps": {"estimator": "mlp"}}))
+        ['truth']
+    """
+    return {name: row for name, row in estimators.items() if row["estimator"] in (None, name)}
 
 
 def estimator_figures(scores: Sequence[Scores], recording: Recording) -> dict[str, Any]:
