@@ -135,6 +135,18 @@ def test_an_installed_bundle_is_a_name_wherever_a_run_is(bundle, tmp_path, monke
     assert session.step().actual.shape == (2,)
 
 
+@pytest.mark.parametrize("name", policies())
+def test_an_installed_policy_is_whole_small_and_the_committed_run(name):
+    folder = policies()[name]
+    manifest = read_manifest(folder)
+    assert verify(folder).error < 1e-4
+    assert sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) <= 2_000_000
+    run = Path(__file__).parents[2] / "results" / name
+    assert manifest["training"] == json.loads((run / "run.json").read_text())
+    measured = json.loads((run / "scorecard.json").read_text())["evaluations"]["endurance"]
+    assert manifest["figures"]["endurance"]["survival"] == measured["survival"]
+
+
 def test_reports_of_another_training_stay_behind(tmp_path):
     run, folder = tmp_path / "run", tmp_path / "bundle"
     for protocol, frames in {"endurance": 2, "tracking": 1}.items():
