@@ -1,11 +1,14 @@
-"""Small networks that the tests of modules and objectives share; no size is the paper's."""
+"""Small networks that the tests of modules and objectives share, no size of which is the paper's; short trials."""
 
 from __future__ import annotations
+
+from functools import partial
 
 import pytest
 import torch
 from torchrl.data import Composite, Unbounded
 
+from torchrl_atr import evaluation
 from torchrl_atr.modules import ROANetworks, make_networks
 
 
@@ -26,3 +29,9 @@ def networks(spec: Composite) -> ROANetworks:
     nets = make_networks(spec, Unbounded((5, 2)), latent_features=4, actor_cells=(16,), critic_cells=(16,))
     nets.update_normalizers(spec.rand() * 3 + 1)
     return nets
+
+
+@pytest.fixture
+def short_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Trials of ``torchrl-atr evaluate`` last a second, not ten."""
+    monkeypatch.setattr(evaluation, "evaluate_tracking", partial(evaluation.evaluate_tracking, seconds=1.0, settle=0.5))

@@ -65,6 +65,7 @@ def test_bad_input_is_one_message_and_exit_code_2(capsys, tmp_path, monkeypatch,
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("short_trials")
 def test_train_evaluate_resume(tmp_path, capsys):
     run, report = tmp_path / "run", tmp_path / "report"
     tiny = ["--num-envs", "4", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
@@ -108,6 +109,7 @@ def test_endurance_beside_tracking(tmp_path, capsys):
     assert "give another folder with --output" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("short_trials")
 def test_a_policy_rides_another_transporter_by_name(tmp_path, capsys, monkeypatch):
     run, report = tmp_path / "run", tmp_path / "report"
     assert main(["train", *TINY, "--total-frames", "8", "--output", str(run)]) == 0
@@ -135,6 +137,7 @@ def watched(measure, policies, policy, *arguments, **options):
     return measure(policy, *arguments, **options)
 
 
+@pytest.mark.usefixtures("short_trials")
 def test_commands_are_clipped_to_the_range_that_an_evaluation_recorded(tmp_path, capsys, monkeypatch):
     run, ranges = tmp_path / "run", [CommandRange(0.5, 0.2, 0.1), None]
     assert main(["train", *TINY, "--total-frames", "8", "--output", str(run)]) == 0

@@ -69,6 +69,7 @@ def test_a_changed_transporter_is_refused_by_name_and_field(run, slower, capsys)
     assert "--transporter NAME" in message
 
 
+@pytest.mark.usefixtures("short_trials")
 def test_what_is_asked_for_is_used(run, heavier, tmp_path):
     _, env, networks, _ = load_run(run, robot="a1", num_envs=1)
     assert float(env.base_env.model.body("FR_thigh").mass[0]) == 2.0
