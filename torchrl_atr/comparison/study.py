@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import partial
 from itertools import product
 from pathlib import Path
 from urllib.parse import quote
@@ -92,6 +92,7 @@ class Study:
                 )
         self.config, self.env, self.networks = config, env, networks
         self.folder, self.options = folder, options
+        self._envs = {config.env.history_length: env}
         self._announce, self._tick = announce, tick
         # more seeds are added to what is there
         asked = {**dataclasses.asdict(options), "policy": fingerprint(networks)}
@@ -163,11 +164,11 @@ class Study:
             return None
         return Window(length, config.task.interpretation.current_in_history, keys.observation, keys.history)
 
-    @cache  # noqa: B019  # a study is short
     def _env(self, history_length: int) -> EnvBase:
-        config = config_with(self.config, self.config.estimator.name, history_length)
-        own = history_length == self.config.env.history_length
-        return self.env if own else make_env(config, num_envs=1, **DEPLOYMENT_OVERRIDES)
+        if history_length not in self._envs:
+            config = config_with(self.config, self.config.estimator.name, history_length)
+            self._envs[history_length] = make_env(config, num_envs=1, **DEPLOYMENT_OVERRIDES)
+        return self._envs[history_length]
 
     def _keep_settings(self) -> None:
         write_json(self.folder / SETTINGS, self._settings)
