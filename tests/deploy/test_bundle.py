@@ -140,7 +140,7 @@ def test_an_installed_policy_is_whole_small_and_the_committed_run(name):
     folder = policies()[name]
     manifest = read_manifest(folder)
     assert verify(folder).error < 1e-4
-    assert sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) <= 2_000_000
+    assert sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) <= LARGEST
     run = Path(__file__).parents[2] / "results" / name
     assert manifest["training"] == json.loads((run / "run.json").read_text())
     measured = json.loads((run / "scorecard.json").read_text())["evaluations"]["endurance"]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps, rc_context
+from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from torchrl_atr.comparison.summary import by_history
@@ -66,12 +67,8 @@ def plot_drift(estimators: Mapping[str, Any], path: str | Path) -> Path:
         figure, axis = subplots(figsize=(7.5, 4.0))
         rows = {name: row for name, row in estimators.items() if "error" in row}
         for number, (name, row) in enumerate(rows.items()):
-            x, value, low, high = (
-                np.array(row["drift"][key], dtype=np.float64) for key in ("seconds", "value", "low", "high")
-            )
-            colour = colormaps[_COLOURS](number % 10)
-            axis.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
-            axis.plot(x, value, color=colour, lw=1.5, label=name, marker="." if len(x) == 1 else None)
+            drift, x = row["drift"], row["drift"]["seconds"]
+            _band(axis, x, drift, number, label=name, marker="." if len(x) == 1 else None)
         axis.set(xlabel="time in the ride [s]", ylabel="error [standard deviations]", ylim=(0.0, None))
         axis.grid(alpha=0.25)
         axis.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
@@ -90,13 +87,18 @@ def plot_history(estimators: Mapping[str, Any], path: str | Path) -> Path:
         for number, (name, rows) in enumerate(by_history(estimators).items()):
             seconds = CONTROL_DT * np.array([row["history_length"] for row in rows])
             for axis, found in zip(axes, ([row["error"] for row in rows], [row["latent"]["rmse"] for row in rows])):
-                value, low, high = (
-                    np.array([each[key] for each in found], dtype=np.float64) for key in ("value", "low", "high")
-                )
-                axis.fill_between(seconds, low, high, color=colormaps[_COLOURS](number % 10), alpha=0.15, lw=0)
-                axis.plot(seconds, value, color=colormaps[_COLOURS](number % 10), lw=1.5, marker=".", label=name)
+                curve = {end: [each[end] for each in found] for end in ("value", "low", "high")}
+                _band(axis, seconds, curve, number, label=name, marker=".")
         for axis, what in zip(axes, ("extrinsic states [standard deviations]", "latent [norm]")):
             axis.set(title=f"error of the {what}", xlabel="history [s]", ylim=(0.0, None))
             axis.grid(alpha=0.25)
         axes[1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
         return save(figure, path)
+
+
+def _band(axis: Axes, x: Any, curve: Mapping[str, Any], number: int, **line: Any) -> None:
+    """Draw the ``value`` of a curve over x in the colour of a number, and a band from ``low`` to ``high``."""
+    value, low, high = (np.array(curve[end], dtype=np.float64) for end in ("value", "low", "high"))
+    colour = colormaps[_COLOURS](number % 10)
+    axis.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
+    axis.plot(x, value, color=colour, lw=1.5, **line)

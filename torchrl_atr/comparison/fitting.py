@@ -152,8 +152,9 @@ def estimates(
     steps = torch.arange(0, data.shape[1], every)
     rows = max(1, _CHUNK // len(steps))
     for begin in range(0, data.shape[0], rows):
-        robots = torch.arange(begin, min(begin + rows, data.shape[0])).unsqueeze(1)
-        part = take(data, robots, steps.unsqueeze(0), window)
+        part = data[begin : begin + rows]
+        robots = torch.arange(len(part)).unsqueeze(1)
+        part = part[:, ::every] if window is None else window.take(part, robots, steps)  # a slice copies nothing
         told = with_first_state(networks, part)
         written = part.empty()
         with set_recurrent_mode(True):

@@ -26,10 +26,10 @@ def check_scorecard(run: Path) -> None:
     Raises:
         UserError: if one is of another training.
     """
-    trained = _read(run / "run.json")
+    trained = read_report(run / "run.json")
     again = {f"{name}/metrics.json": f"`torchrl-atr evaluate RUN --protocol {name}`" for name in _SWEEPS}
     for file, command in {_SCORECARD: "`python -m benchmarks.scorecard RUN` from a clone", **again}.items():
-        report = _read(run / file)
+        report = read_report(run / file)
         if report is not None and trained is not None and report.get("run") != trained:
             raise UserError(
                 f"{run / file} is of another training than {run / 'run.json'}; measure it anew with {command}, or "
@@ -39,7 +39,7 @@ def check_scorecard(run: Path) -> None:
 
 def figures(run: Path) -> dict[str, Any] | None:
     """Return the shares of robots that stay up, by evaluation of the run's scorecard; None without one."""
-    scorecard = _read(run / _SCORECARD)
+    scorecard = read_report(run / _SCORECARD)
     if scorecard is None:
         return None
     names = ("n", "survival", "survival_interval", "settled_speed_error", "settled_yaw_error", "commands_mastered")
@@ -91,7 +91,7 @@ def _sweeps(run: Path) -> list[str]:
     """Return the tables of the sweeps that a run has been measured by."""
     lines: list[str] = []
     for protocol, (title, table) in _SWEEPS.items():
-        metrics = _read(run / protocol / "metrics.json")
+        metrics = read_report(run / protocol / "metrics.json")
         if metrics is not None:
             first, *rest = table(metrics)
             lines += [f"## {title}", "", f"`torchrl-atr evaluate RUN --protocol {protocol}`: {first}", *rest, ""]
@@ -116,5 +116,6 @@ def _origin(run: Mapping[str, Any]) -> str:
     )
 
 
-def _read(path: Path) -> Any:
+def read_report(path: Path) -> Any:
+    """Return the content of a JSON file; None if there is none."""
     return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None

@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
 
+from torchrl_atr.deploy.card import read_report
 from torchrl_atr.evaluation.report import load_tracking, save_tracking
 from torchrl_atr.evaluation.set_figures import CURVES
 from torchrl_atr.training.run_files import LOG, ORIGIN, copy_log
@@ -25,16 +25,12 @@ def copy_reports(run: Path, folder: Path) -> None:
     """
     if (run / LOG).is_file():
         copy_log(run, folder, _ROWS, ("frames", *CURVES))
-    trained = _read(run / ORIGIN)
+    trained = read_report(run / ORIGIN)
     for protocol in PROTOCOLS:
-        report = _read(run / protocol / "metrics.json")
+        report = read_report(run / protocol / "metrics.json")
         if trained is None or report is None or report.get("run") != trained:
             continue
         (folder / protocol).mkdir()
         (folder / protocol / "metrics.json").write_text(json.dumps(report, separators=(",", ":")), encoding="utf-8")
         if (trials := run / protocol / _TRIALS).is_file():  # for the heat maps, which need no estimates
             save_tracking(dataclasses.replace(load_tracking(trials), estimators=None), folder / protocol / _TRIALS)
-
-
-def _read(path: Path) -> Any:
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
