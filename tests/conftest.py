@@ -1,11 +1,13 @@
-"""Small networks that the tests of modules and objectives share, no size of which is the paper's; short trials."""
+"""Small networks that the tests of modules and objectives share, no size of which is the paper's; short evaluations."""
 
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 import pytest
 import torch
+from matplotlib.figure import Figure
 from torchrl.data import Composite, Unbounded
 
 from torchrl_atr import evaluation
@@ -29,6 +31,12 @@ def networks(spec: Composite) -> ROANetworks:
     nets = make_networks(spec, Unbounded((5, 2)), latent_features=4, actor_cells=(16,), critic_cells=(16,))
     nets.update_normalizers(spec.rand() * 3 + 1)
     return nets
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are made but not drawn, for tests of what is around them: drawing takes most of a short evaluation."""
+    monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: Path(file).touch())
 
 
 @pytest.fixture

@@ -14,6 +14,8 @@ from torchrl_atr.cli import main
 from torchrl_atr.modules import CommandClippedPolicy, CommandRange
 from torchrl_atr.training import load_run, read_config
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 TINY = ["--num-envs", "2", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
 
 

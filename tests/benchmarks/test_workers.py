@@ -8,7 +8,7 @@ from benchmarks import workers
 
 
 def test_both_kinds_are_trained_and_compared(tmp_path):
-    arguments = ["--frames", str(10 * 8 * 24), "--seeds", "1", "--num-envs", "8", "--output", str(tmp_path)]
+    arguments = ["--frames", str(5 * 8 * 24), "--seeds", "1", "--num-envs", "8", "--output", str(tmp_path)]
     assert workers.main(arguments) == 0
     returns = json.loads((tmp_path / "workers.json").read_text())["returns"]
     assert {kind: len(values) for kind, values in returns.items()} == {"one process": 1, "two workers": 1}

@@ -27,6 +27,8 @@ from torchrl_atr.modules import CommandClippedPolicy
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
 from torchrl_atr.viewer import Session, Setup
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 RUN = Path(__file__).parents[2] / "results" / "a1-single_board"
 
 

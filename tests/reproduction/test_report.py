@@ -32,7 +32,7 @@ def test_a_report_says_how_it_was_made_and_the_summary_gathers_its_claims(job, t
     assert "| Fast is hard | error above 0 | 0.500 [0.100, 0.900] | **holds** |" in page
     assert "| Light is worse | error | not measured | **cannot be told**. G2 is missing |" in page
     made = json.loads((tmp_path / "figure4.json").read_text())["made"]
-    assert {"command", "seed", "commit", "hardware", "versions", "seconds", "policies"} <= made.keys()
+    assert {"command", "seed", "hardware", "versions", "seconds", "policies"} <= made.keys()
     assert made["policies"]["a1-single_board"]["fingerprint"] == job.policies[0].fingerprint
     (tmp_path / "all" / "figure4").mkdir(parents=True)
     (tmp_path / "figure4.json").rename(tmp_path / "all" / "figure4" / "figure4.json")

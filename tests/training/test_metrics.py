@@ -37,6 +37,7 @@ def test_falls_are_shown_as_a_moving_mean_and_logged_as_they_are(tmp_path):
     for frames, falls in ((1, 60.0), (2, 0.0), (3, 0.0), (4, 0.0)):
         progress.update({"frames": frames, "minutes": 1.0, "falls_per_minute": falls})
     assert progress._shown["falls_per_minute"] == 15.0
+    assert progress._shown["up_after_a_minute"] == pytest.approx(3.06e-7, rel=1e-2)
     rows = (tmp_path / "progress.csv").read_text(encoding="utf-8").splitlines()
     column = rows[0].split(",").index("falls_per_minute")
     assert [float(row.split(",")[column]) for row in rows[1:]] == [60, 0, 0, 0]

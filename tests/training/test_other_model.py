@@ -11,6 +11,8 @@ from torchrl_atr.cli import main
 from torchrl_atr.envs import ROBOTS, TRANSPORTERS
 from torchrl_atr.training import CheckpointError, Trainer, load_checkpoint, load_run, make_config
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 TINY = {
     "env.num_envs": 2,
     "ppo.rollout_steps": 2,

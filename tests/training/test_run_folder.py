@@ -18,6 +18,8 @@ from torchrl_atr.evaluation import replay_failure
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, read_config
 from torchrl_atr.training.run_files import DUMPS
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 TINY = {
     "env.num_envs": 4,
     "ppo.rollout_steps": 4,

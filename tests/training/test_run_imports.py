@@ -11,6 +11,8 @@ from torchrl_atr.envs import ROBOTS, TRANSPORTERS
 from torchrl_atr.modules.estimators import _ESTIMATORS
 from torchrl_atr.training import load_checkpoint, load_run
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 TINY = ["--num-envs", "2", "--ppo.rollout-steps", "2", "--ppo.minibatches", "1", "--compute.num-threads", "1"]
 GRID = ["--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
 MINE = """

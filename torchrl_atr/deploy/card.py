@@ -110,9 +110,10 @@ def _sensors(manifest: Mapping[str, Any]) -> str:
 
 def _origin(run: Mapping[str, Any]) -> str:
     began = f" It began from {run['from']['run']}." if "from" in run else ""
+    commit = f", commit {run['versions']['commit']}" if "commit" in run.get("versions", {}) else ""
     return (
         f"Trained by `{run['command']}`: {run['frames']:,} robot steps in {run['minutes']:.0f} minutes on "
-        f"{cores(run['hardware'])}, seed {run['seed']}.{began}"
+        f"{cores(run['hardware'])}, seed {run['seed']}{commit}.{began}"
     )
 
 

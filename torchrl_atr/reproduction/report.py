@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -10,7 +9,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torchrl_atr
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr._text import markdown_table
 from torchrl_atr.reproduction.parts import Parts
@@ -113,7 +111,7 @@ def write_report(
 
 
 def provenance(job: Job) -> dict[str, Any]:
-    """Return how a report was made: command, seed, commit, machine, seconds, policies.
+    """Return how a report was made: command, seed, machine, versions, seconds, policies.
 
     The seconds are those of all measurements in it, those that were made in earlier sessions included.
     """
@@ -121,30 +119,15 @@ def provenance(job: Job) -> dict[str, Any]:
         "command": job.command,
         "seed": job.seed,
         "quick": job.quick,
-        "commit": commit(),
         **machine(),
         "seconds": round(max(sum(job.parts.seconds.values()), time.monotonic() - job.begun), 1),
         "policies": {policy.name: policy.described() for policy in job.policies},
     }
 
 
-def commit() -> str | None:
-    """Return the commit of the clone that the package is in, with ``+`` if files were changed; None outside of one."""
-    root = Path(torchrl_atr.__file__).parents[1]
-    if not (root / ".git").exists():
-        return None
-    words = ["git", "-C", str(root)]
-    try:
-        head = subprocess.run([*words, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
-        changed = subprocess.run([*words, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return head.stdout.strip() + ("+" if changed.stdout.strip() else "")
-
-
 def made_by(made: Mapping[str, Any]) -> str:
     """Return the paragraph on how a report was made."""
-    version = made["commit"] or made["versions"]["torchrl_atr"]
+    version = made["versions"].get("commit") or made["versions"]["torchrl_atr"]
     coarse = " **Coarse sizes: it shows that everything works and measures little.**" if made["quick"] else ""
     lines = [
         f"`{made['command']}`, seed {made['seed']}, version {version}, {made['seconds'] / 60:.1f} minutes on "

@@ -54,7 +54,7 @@ class TrainConfig(Settings):
     """A registered preset, whose settings replace the defaults: `list presets`."""
     seed: int = setting(0, within=(0, 2**31 - 1), alias="seed")
     """Seed of everything."""
-    total_frames: int = setting(8_500_000, within=(1, 1e15), alias="total-frames", paper=28_000_000)
+    total_frames: int = setting(15_000_000, within=(1, 1e15), alias="total-frames", paper=28_000_000)
     """Robot steps after which training ends, those of earlier sessions of the run included."""
     max_minutes: float = setting(0.0, within=(0, 1e9), unit="minutes", alias="max-minutes")
     """Wall-clock time after which training ends, whichever comes first; 0 for no limit."""

@@ -57,7 +57,7 @@ class EnvConfig(Settings):
 class TrainingPushes(Pushes):
     """Pushes of a training; an evaluation has those of :class:`~torchrl_atr.envs.tasks.events.Pushes`."""
 
-    interval: float = setting(2.0, within=(0, 1e6), unit="s", off=3.0, addition="more frequent pushes")
+    interval: float = setting(1.0, within=(0, 1e6), unit="s", off=3.0, addition="more frequent pushes")
     """Time between two pushes; 0 for none. Recovery is what falls are about, and a push in 3 s shows little of it."""
 
 

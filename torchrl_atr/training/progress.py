@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import time
 from collections import deque
 from contextlib import ExitStack
@@ -40,8 +41,8 @@ class _Column(NamedTuple):
 _COLUMNS = (
     _Column("frames", "{:,.0f}", "robot", "steps", 12),
     _Column("frames_per_second", "{:,.0f}", "rate", "steps/s", 8),
-    _Column("episode_length", "{:.0f}", "length", "steps", 7),
     _Column("falls_per_minute", "{:.2f}", "falls", "/min", 7),
+    _Column("up_after_a_minute", "{:.0%}", "up at", "60 s", 7),
     _Column("speed_error", "{:.3f}", "v err", "m/s", 7),
     _Column("yaw_error", "{:.3f}", "w err", "rad/s", 7),
     _Column("student_speed_error", "{:.3f}", "est v", "m/s", 7),
@@ -120,6 +121,7 @@ class Progress:
         if "falls_per_minute" in metrics:
             self._falls.append(metrics["falls_per_minute"])
             self._shown["falls_per_minute"] = fmean(self._falls)
+            self._shown["up_after_a_minute"] = math.exp(-fmean(self._falls))  # at a constant rate of falls
         if self._logger is not None:
             tagged = {name if "/" in name else f"train/{name}": value for name, value in metrics.items()}
             self._logger.log_metrics(tagged, step=int(metrics["frames"]))

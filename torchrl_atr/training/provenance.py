@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import platform
 import shlex
+import subprocess
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import MappingProxyType
@@ -12,6 +14,7 @@ from typing import Any
 
 import torch
 
+import torchrl_atr
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._nested import flat, to_text
 from torchrl_atr._settings import settings
@@ -49,7 +52,7 @@ def provenance(
 
 
 def machine(device: str = "cpu") -> dict[str, Any]:
-    """Return ``hardware`` and ``versions`` that a measurement was made with.
+    """Return ``hardware`` and ``versions`` that a measurement was made with; in a clone, with its ``commit``.
 
     Example:
         >>> machine()["hardware"]["device"]
@@ -60,7 +63,11 @@ def machine(device: str = "cpu") -> dict[str, Any]:
         hardware["accelerator"] = torch.cuda.get_device_name(device)
     return {
         "hardware": hardware,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}},
+        "versions": {
+            "python": platform.python_version(),
+            **{name: version(name) for name in _PACKAGES},
+            **({"commit": commit} if (commit := _commit()) else {}),
+        },
     }
 
 
@@ -99,6 +106,21 @@ def command_line(config: Mapping[str, Any], start: Mapping[str, Any] | None = No
         name = (path in known and known[path].alias) or path.replace("_", "-")
         parts.append(f"--{name} {shlex.quote(to_text(given[path]))}")
     return " ".join(["torchrl-atr train", *parts])
+
+
+@cache  # what the process has imported
+def _commit() -> str | None:
+    """Return the commit of the clone that the package is in, with ``+`` if files were changed; None outside of one."""
+    root = Path(torchrl_atr.__file__).parents[1]
+    if not (root / ".git").exists():
+        return None
+    words = ["git", "-C", str(root)]
+    try:
+        head = subprocess.run([*words, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
+        changed = subprocess.run([*words, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return head.stdout.strip() + ("+" if changed.stdout.strip() else "")
 
 
 def _processor() -> str:

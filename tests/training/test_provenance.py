@@ -1,0 +1,36 @@
+"""What a figure was made with is written beside it."""
+
+from __future__ import annotations
+
+import subprocess
+from functools import partial
+
+import pytest
+
+import torchrl_atr
+from torchrl_atr.training import provenance
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """The package as if it were in a folder that is not under version control."""
+    monkeypatch.setattr(torchrl_atr, "__file__", str(tmp_path / "torchrl_atr" / "__init__.py"))
+    monkeypatch.setattr(provenance, "_commit", provenance._commit.__wrapped__)  # without its cache
+    return tmp_path
+
+
+def test_an_installed_package_has_no_commit(package):
+    assert "commit" not in provenance.machine()["versions"]
+
+
+def test_a_clone_has_its_commit_and_a_mark_if_files_were_changed(package):
+    git = partial(subprocess.run, cwd=package, check=True, capture_output=True, text=True)
+    file, who = package / "file", ["-c", "user.name=A", "-c", "user.email=a@b.c"]
+    file.write_text("one")
+    git(["git", "init"])
+    git(["git", "add", "file"])
+    git(["git", *who, "commit", "-m", "one"])
+    head = git(["git", "rev-parse", "HEAD"]).stdout.strip()
+    assert provenance.machine()["versions"]["commit"] == head[:12]
+    file.write_text("two")
+    assert provenance.machine()["versions"]["commit"] == f"{head[:12]}+"
