@@ -13,6 +13,7 @@ from torchrl_atr.envs.models import Scene, Transporter
 from torchrl_atr.envs.models.boards import PLANAR_JOINTS
 from torchrl_atr.envs.models.drives import tilt_drive
 from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
+from torchrl_atr.envs.tasks.dead_reckoning import METHODS
 from torchrl_atr.envs.tasks.support_tilt import NAME
 from torchrl_atr.modules import CommandRange
 from torchrl_atr.training import TrainConfig
@@ -112,9 +113,7 @@ def describe_policy(
         "dead_reckoning": {
             "method": config.task.velocity_filter,
             "start": "the robot stands at rest",
-            "output": "speed along and across the heading, m/s, and the standard deviation of the first"
-            if config.task.velocity_filter == "kalman_filter"
-            else "velocity in the body frame, m/s",
+            "output": METHODS[config.task.velocity_filter].output,
         },
         "command": {
             **command,

@@ -39,6 +39,7 @@ _NEEDED = (
 _SINCE = {
     ("ppo", "tracking_errors"): False,
     ("task", "observe_tilt"): False,
+    ("task", "velocity_filter"): "kalman_filter",
     ("curriculum", "slew_rates"): (),
     ("task", "stance"): (),
     ("task", "steadiness"): 0.0,
