@@ -22,8 +22,8 @@ def test_a_published_run_loads_and_rides(run):
     )
     assert result.survived.mean() > 0.8
     backward, forward = result.settled_speed.mean((1, 2))
-    assert backward < -0.5  # with sensors as robots have them, a straight ride does not show its speed
-    assert forward > 0.5
+    assert backward < -0.7  # with sensors as robots have them, a straight ride does not show its speed
+    assert forward > 0.7
     assert not any("privileged" in name for name in result.policy_reads)
 
 

@@ -18,6 +18,8 @@ from torchrl_atr.cli.parser import build_parser
 from torchrl_atr.deploy import BundleError, PolicyRunner, export, policies, read_manifest, verify
 from torchrl_atr.deploy import manifest as manifests
 from torchrl_atr.deploy.card import card, check_scorecard
+from torchrl_atr.deploy.episode import ROBOTS as RECORDED
+from torchrl_atr.deploy.episode import STEPS
 from torchrl_atr.deploy.export import LARGEST, export_run
 from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, WEIGHTS, report_home
 from torchrl_atr.deploy.reports import copy_reports
@@ -36,7 +38,7 @@ def test_it_is_small_and_acts_as_torch_does(bundle):
     assert sum(file.stat().st_size for file in bundle.rglob("*")) < LARGEST
     found = verify(bundle)
     assert found.error < 1e-4
-    assert (found.steps, found.robots) == (240, 2)
+    assert (found.steps, found.robots) == (STEPS, RECORDED)
     assert found.resets >= 3
     assert main(["verify", str(bundle)]) == 0
 
@@ -56,8 +58,8 @@ def test_the_manifest_says_what_the_robot_and_its_task_are(bundle):
     assert {joint["kp"] for joint in joints} == {robot.kp}
     assert manifest["robot"]["action_scale"] == robot.action_scale
     assert manifest["control"]["rate_hz"] == 50
-    assert sum(each["size"] for each in manifest["observation"]) == 46
-    assert manifest["policy"]["inputs"]["history"] == [10, 46]
+    assert sum(each["size"] for each in manifest["observation"]) == 49
+    assert manifest["policy"]["inputs"]["history"] == [10, 49]
     assert [each["name"] for each in manifest["observation"]][-2:] == ["action", "command"]
     assert all(each["frame"] and each["unit"] for each in manifest["observation"])
     assert manifest["training"] == json.loads((RUN / "run.json").read_text())

@@ -10,11 +10,11 @@ from torchrl_atr.deploy.loading import LoadedPolicy
 from torchrl_atr.deploy.policy_step import SENSORS
 from torchrl_atr.evaluation.access import deterministic
 
-STEPS, ROBOTS, COMMAND_STEPS = 240, 2, 40
-"""Control steps, robots, and control steps that a command lasts: 4.8 s."""
+STEPS, ROBOTS, COMMAND_STEPS = 180, 2, 30
+"""Control steps, robots, and control steps that a command lasts: 3.6 s, in which each robot is pushed once."""
 COMMANDS = ((0.0, 0.0), (1.0, 0.3), (-1.0, 0.0), (0.5, -0.5), (12.0, 1.9), (0.0, 0.6))
 """Forward speeds, m/s, and yaw rates, rad/s, one after the other; one is beyond what is mastered."""
-RESETS = {70: 0, 180: 1, 181: 1}
+RESETS = {20: 0, 165: 1, 166: 1}
 """Robot that begins an episode at a step though it has not fallen, by that step."""
 
 
