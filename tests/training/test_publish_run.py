@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
+import pytest
 import torch
 
+from benchmarks import scorecard, zoo
 from scripts import publish_run
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
 
@@ -23,6 +27,18 @@ def test_a_published_run_holds_the_deployed_weights_alone(tmp_path):
     begun = Trainer(make_config({**TINY, "seed": 4}), tmp_path / "begun", begin_from=tmp_path / "published")
     assert begun.train() is None
     assert load_checkpoint(tmp_path / "begun")["frames"] == 192
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_its_evaluations_go_with_it_and_make_its_scorecard(tmp_path):
+    run, published = tmp_path / "run", tmp_path / "published"
+    Trainer(make_config({**TINY, "total_frames": 64}), run).train()
+    scorecard.measure(run, 5, ["endurance"], zoo.QUICK_ROWS)
+    assert publish_run.main([str(run), str(published)]) == 0
+    assert {file.name for file in (published / "endurance").iterdir()} == {"metrics.json", "endurance.png"}
+    card = json.loads((published / "scorecard.json").read_text())
+    assert card["command"] == f"python -m benchmarks.scorecard {published} --seed 5"
+    assert card["evaluations"].keys() == {"endurance"}
 
 
 def test_a_folder_without_a_run_is_named(tmp_path, capsys):
