@@ -11,6 +11,7 @@ from torchrl_atr._errors import UserError
 from torchrl_atr.evaluation.compatibility import compatibility_table
 from torchrl_atr.evaluation.robustness import robustness_table
 from torchrl_atr.training.provenance import cores
+from torchrl_atr.training.run_files import ORIGIN
 
 _SCORECARD = "scorecard.json"
 _SWEEPS: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], list[str]]]] = {
@@ -26,13 +27,13 @@ def check_scorecard(run: Path) -> None:
     Raises:
         UserError: if one is of another training.
     """
-    trained = read_report(run / "run.json")
+    trained = read_report(run / ORIGIN)
     again = {f"{name}/metrics.json": f"`torchrl-atr evaluate RUN --protocol {name}`" for name in _SWEEPS}
     for file, command in {_SCORECARD: "`python -m benchmarks.scorecard RUN` from a clone", **again}.items():
         report = read_report(run / file)
         if report is not None and trained is not None and report.get("run") != trained:
             raise UserError(
-                f"{run / file} is of another training than {run / 'run.json'}; measure it anew with {command}, or "
+                f"{run / file} is of another training than {run / ORIGIN}; measure it anew with {command}, or "
                 "remove it"
             )
 
