@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -37,6 +39,17 @@ def networks(spec: Composite) -> ROANetworks:
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures are made but not drawn, for tests of what is around them: drawing takes most of a short evaluation."""
     monkeypatch.setattr(Figure, "savefig", lambda self, file, **_: Path(file).touch())
+
+
+@pytest.fixture
+def traced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What ``torch.compile`` has traced runs as it is: to generate and build C++ takes minutes; few tests need that."""
+    compile_it = torch.compile
+
+    def trace(function: Callable[..., Any], options: Mapping[str, Any]) -> Callable[..., Any]:
+        return compile_it(function, backend="eager", options={"guard_filter_fn": options["guard_filter_fn"]})
+
+    monkeypatch.setattr(torch, "compile", trace)
 
 
 @pytest.fixture

@@ -31,7 +31,9 @@ def ride(compiled: bool, name: str = "riding", **options):
     [{}, {"profile": "literal"}, {"transporter": "two_board", "profile": "legged_gym"}, {"name": "walking"}],
     ids=["default", "literal", "two boards, legged_gym", "walking"],
 )
-def test_a_compiled_step_is_the_eager_one_to_rounding(options):
+def test_a_compiled_step_is_the_eager_one_to_rounding(request, options):
+    if options:  # the default one alone is built
+        request.getfixturevalue("traced")
     torch._dynamo.utils.counters.clear()
     eager, compiled = ride(False, **options), ride(True, **options)
     assert not torch._dynamo.utils.counters["graph_break"]
@@ -45,6 +47,7 @@ def test_a_compiled_step_is_the_eager_one_to_rounding(options):
 
 
 @with_compiler
+@pytest.mark.usefixtures("traced")
 def test_a_compiled_env_keeps_its_specs_and_contains_what_is_no_number():
     env = RidingEnv(num_envs=16, num_threads=1, seed=0, compiled=True)
     check_env_specs(env)

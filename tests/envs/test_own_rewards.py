@@ -20,6 +20,7 @@ OWN = {name: term for name, term in RIDING_REWARDS.items() if name != "postural_
 }
 
 
+@pytest.mark.usefixtures("traced")
 @pytest.mark.parametrize(
     "compiled", [False, pytest.param(True, marks=pytest.mark.skipif(compiler() is None, reason="no compiler"))]
 )

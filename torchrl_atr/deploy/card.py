@@ -33,8 +33,7 @@ def check_scorecard(run: Path) -> None:
         report = read_report(run / file)
         if report is not None and trained is not None and report.get("run") != trained:
             raise UserError(
-                f"{run / file} is of another training than {run / ORIGIN}; measure it anew with {command}, or "
-                "remove it"
+                f"{run / file} is of another training than {run / ORIGIN}; measure it anew with {command}, or remove it"
             )
 
 

@@ -27,6 +27,7 @@ def step(env: QuadrupedEnv) -> TensorDict:
     return env.step(TensorDict({"action": torch.zeros(3, 12)}, [3]))["next"]
 
 
+@pytest.mark.usefixtures("traced")
 @pytest.mark.parametrize("compiled", EAGER_AND_COMPILED)
 def test_a_counter_counts_is_scored_and_starts_anew_for_the_rows_that_do(compiled):
     env = make(compiled=compiled)

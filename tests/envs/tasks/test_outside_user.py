@@ -62,6 +62,7 @@ def test_they_are_in_the_suite_too():
 
 
 @with_compiler
+@pytest.mark.usefixtures("traced")
 def test_compiled_or_not_they_come_to_the_same():
     task = own_task.careful_riding().with_observation(
         "proprio", foot_loads=own_task.ObservationTerm(own_task.foot_loads, mirror=own_task.mirrors.legs)
@@ -75,6 +76,7 @@ def test_compiled_or_not_they_come_to_the_same():
         torch.testing.assert_close(fast[key], plain[key], atol=2e-4, rtol=1e-3)
 
 
+@pytest.mark.usefixtures("traced")
 @pytest.mark.parametrize(
     ("module", "name", "compiled"),
     [
