@@ -116,8 +116,12 @@ def _commit() -> str | None:
         return None
     words = ["git", "-C", str(root)]
     try:
-        head = subprocess.run([*words, "rev-parse", "--short=12", "HEAD"], capture_output=True, text=True, check=True)
-        changed = subprocess.run([*words, "status", "--porcelain", "-uno"], capture_output=True, text=True, check=True)
+        head = subprocess.run(
+            [*words, "rev-parse", "--short=12", "HEAD"], capture_output=True, encoding="utf-8", check=True
+        )
+        changed = subprocess.run(
+            [*words, "status", "--porcelain", "-uno"], capture_output=True, encoding="utf-8", check=True
+        )
     except (OSError, subprocess.CalledProcessError):
         return None
     return head.stdout.strip() + ("+" if changed.stdout.strip() else "")
