@@ -114,17 +114,15 @@ def _commit() -> str | None:
     root = Path(torchrl_atr.__file__).parents[1]
     if not (root / ".git").exists():
         return None
-    words = ["git", "-C", str(root)]
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", "-C", str(root), *words], capture_output=True, encoding="utf-8", check=True)
+        return done.stdout.strip()
+
     try:
-        head = subprocess.run(
-            [*words, "rev-parse", "--short=12", "HEAD"], capture_output=True, encoding="utf-8", check=True
-        )
-        changed = subprocess.run(
-            [*words, "status", "--porcelain", "-uno"], capture_output=True, encoding="utf-8", check=True
-        )
+        return git("rev-parse", "--short=12", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
     except (OSError, subprocess.CalledProcessError):
         return None
-    return head.stdout.strip() + ("+" if changed.stdout.strip() else "")
 
 
 def _processor() -> str:
