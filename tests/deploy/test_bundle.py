@@ -25,6 +25,7 @@ from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, WEIGHT
 from torchrl_atr.deploy.reports import copy_reports
 from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import ROBOTS
+from torchrl_atr.envs.models.leg_kinematics import with_stance
 from torchrl_atr.modules import CommandClippedPolicy
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config
 from torchrl_atr.viewer import Session, Setup
@@ -51,7 +52,7 @@ def test_the_episode_has_commands_beyond_the_range_and_starts_of_single_robots(b
 
 
 def test_the_manifest_says_what_the_robot_and_its_task_are(bundle):
-    manifest, robot = read_manifest(bundle), ROBOTS.get("a1")
+    manifest, robot = read_manifest(bundle), with_stance(ROBOTS.get("a1"), *make_config({}).task.stance)
     joints = manifest["joints"]
     assert [joint["name"] for joint in joints] == list(robot.joints)
     assert [joint["q0"] for joint in joints] == list(robot.q0)
@@ -60,7 +61,7 @@ def test_the_manifest_says_what_the_robot_and_its_task_are(bundle):
     assert manifest["control"]["rate_hz"] == 50
     assert sum(each["size"] for each in manifest["observation"]) == 49
     assert manifest["policy"]["inputs"]["history"] == [10, 49]
-    assert [each["name"] for each in manifest["observation"]][-2:] == ["action", "command"]
+    assert [each["name"] for each in manifest["observation"]][-3:] == ["action", "support_tilt", "command"]
     assert all(each["frame"] and each["unit"] for each in manifest["observation"])
     assert manifest["training"] == json.loads((RUN / "run.json").read_text())
     noise = {each["name"]: each["trained_with"]["noise_std"] for each in manifest["sensors"]}
@@ -113,7 +114,7 @@ def test_an_installed_bundle_is_a_name_wherever_a_run_is(bundle, tmp_path, monke
     few = ["--max-speed", "0", "--max-yaw-rate", "0", "--robots-per-command", "1"]
     assert main(["evaluate", "mine", *few, "--output", "report"]) == 0
     applied = json.loads((tmp_path / "report" / "metrics.json").read_text())["evaluation"]["command_range"]
-    assert applied["max_speed"] == 5.0
+    assert applied == read_manifest(bundle)["command"]["limits"]
     assert main(["evaluate", "mine", *few, "--command-range", "record"]) == 2
     assert "record it in the run, and export that" in capsys.readouterr().err
     tiny = ["--num-envs", "2", "--ppo.rollout-steps", "2", "--ppo.minibatches", "1", "--total-frames", "4"]
