@@ -73,7 +73,9 @@ def test_dead_reckoning_integrates_the_acceleration(runner, q0):
 
 
 def test_a_command_beyond_the_range_is_clipped_with_one_warning(runner, q0):
-    with pytest.warns(UserWarning, match=r"command \(9, 0\.2\) is beyond the range .*\(2\.2, 0\.2\) is followed instead"):
+    with pytest.warns(
+        UserWarning, match=r"command \(9, 0\.2\) is beyond the range .*\(2\.2, 0\.2\) is followed instead"
+    ):
         step(runner, q0, command=(9.0, 0.2))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -39,7 +39,6 @@ _NEEDED = (
 _SINCE = {
     ("ppo", "tracking_errors"): False,
     ("task", "observe_tilt"): False,
-    ("task", "velocity_filter"): "kalman_filter",
     ("curriculum", "slew_rates"): (),
     ("task", "stance"): (),
     ("task", "steadiness"): 0.0,

@@ -238,7 +238,7 @@ METHODS: Mapping[str, _Method] = {
 """Methods by name; each observes a velocity, (N, 3), m/s, the last one also a yaw, (N, 5), m/s and rad."""
 
 
-def dead_reckoning(method: str = "aligned_kalman_filter", key: str = KEY) -> tuple[Group, MemoryTerm]:
+def dead_reckoning(method: str = "kalman_filter", key: str = KEY) -> tuple[Group, MemoryTerm]:
     """Return the group that observes a dead-reckoned velocity, and the memory term that it needs.
 
     Args:

@@ -50,7 +50,7 @@ def riding(
     *,
     profile: str | Interpretation = "default",
     sensors: str | SensorSet = "ideal",
-    velocity_filter: str = "aligned_kalman_filter",
+    velocity_filter: str = "kalman_filter",
     observe_tilt: bool = False,
     pushes: bool | Pushes = True,
     gains: Gains | None = None,
