@@ -184,7 +184,9 @@ def _start_filter(c: StepContext) -> Tensor:
 def _start_aligned(c: StepContext) -> Tensor:
     """Return the same of the filter that knows the yaw, (n, 30): the robot is taken to be aligned."""
     start = _start_filter(c)
-    covariance = pad(start[:, 4:].unflatten(-1, (4, 4)), (0, 1, 0, 1)) + torch.diag(YAW_START_STD**2 * _KEEPS_YAW)
+    covariance = pad(start[:, 4:].unflatten(-1, (4, 4)), (0, 1, 0, 1)) + torch.diag(
+        YAW_START_STD**2 * _KEEPS_YAW.to(start)
+    )
     return torch.cat([pad(start[:, :4], (0, 1)), covariance.flatten(-2)], -1)
 
 
