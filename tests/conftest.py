@@ -43,7 +43,7 @@ def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def traced(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What ``torch.compile`` has traced runs as it is: to generate and build C++ takes minutes; few tests need that."""
+    """Let ``torch.compile`` trace, and run the trace eagerly: to generate and build C++ takes minutes."""
     compile_it = torch.compile
 
     def trace(function: Callable[..., Any], options: Mapping[str, Any]) -> Callable[..., Any]:

@@ -1,4 +1,4 @@
-"""What a figure was made with is written beside it."""
+"""Provenance: the commit of the clone beside every figure."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ FILTERS = ["kalman_filter", "aligned_kalman_filter"]
 def drive(
     method: str, speed: float, yaw_rate: float, seconds: float, bias: float = 0.0, roll: float = 0.0
 ) -> tuple[Tensor, Tensor]:
-    """What is observed and carried after a steady drive, (1, D) and (1, size); the accelerometer has a bias along x."""
+    """Return observation (1, D) and memory (1, size) after a steady drive; the accelerometer has a bias along x."""
     group, term = dead_reckoning(method)
     rotation = matrix_from_euler(*torch.tensor([[roll], [0.0], [0.0]]))
     euler = torch.tensor([[roll, 0.0, 0.0]])
@@ -95,7 +95,7 @@ def test_it_reads_what_is_sensed_and_not_the_truth(method):
 
 
 def weave(method: str, yaw: float, seconds: float) -> Tensor:
-    """What a robot observes that stands turned on a transporter which speeds up, slows down and turns, (1, D)."""
+    """Return what a robot observes, (1, D), that is turned on a transporter which speeds up, slows down and turns."""
     group, term = dead_reckoning(method)
     level = matrix_from_euler(*torch.zeros(3, 1))
     along = torch.tensor([[math.cos(yaw), -math.sin(yaw), 0.0]])  # the transporter's heading in the robot's frame
