@@ -10,6 +10,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.cli import main
 from torchrl_atr.reproduction.report import FAILS, HOLDS, UNKNOWN, Claim, judge, write_report
 from torchrl_atr.reproduction.summary import summary
+from torchrl_atr.training.provenance import machine
 
 
 def test_a_verdict_needs_the_whole_interval_on_one_side():
@@ -33,6 +34,7 @@ def test_a_report_says_how_it_was_made_and_the_summary_gathers_its_claims(job, t
     assert "| Light is worse | error | not measured | **cannot be told**. G2 is missing |" in page
     made = json.loads((tmp_path / "figure4.json").read_text())["made"]
     assert {"command", "seed", "hardware", "versions", "seconds", "policies"} <= made.keys()
+    assert made["versions"] == machine()["versions"]  # with the commit, in a clone
     assert made["policies"]["a1-single_board"]["fingerprint"] == job.policies[0].fingerprint
     (tmp_path / "all" / "figure4").mkdir(parents=True)
     (tmp_path / "figure4.json").rename(tmp_path / "all" / "figure4" / "figure4.json")

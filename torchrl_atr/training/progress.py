@@ -121,7 +121,7 @@ class Progress:
         if "falls_per_minute" in metrics:
             self._falls.append(metrics["falls_per_minute"])
             self._shown["falls_per_minute"] = fmean(self._falls)
-            self._shown["up_after_a_minute"] = math.exp(-fmean(self._falls))  # at a constant rate of falls
+            self._shown["up_after_a_minute"] = math.exp(-self._shown["falls_per_minute"])  # at a constant rate of falls
         if self._logger is not None:
             tagged = {name if "/" in name else f"train/{name}": value for name, value in metrics.items()}
             self._logger.log_metrics(tagged, step=int(metrics["frames"]))
