@@ -36,6 +36,11 @@ def test_a_robot_that_stands_times_out_where_it_started():
     np.testing.assert_allclose(result.seconds, 2 * 1.5 / 3.0)
     assert result.travelled.max() < 0.3
     np.testing.assert_allclose([trace[0, 2] for trace in result.traces], [0.0, np.pi / 2], atol=1e-6)
+    trace, seconds = result.traces[0], result.seconds[0]
+    np.testing.assert_allclose(trace[:, 3], [0.0, *np.arange(0.2, seconds - 1e-9, 0.2), seconds])
+    between = np.diff(trace[:, 3])
+    np.testing.assert_allclose((between * trace[1:, 4]).sum() / seconds, result.joint_power[0])
+    np.testing.assert_allclose((between * trace[1:, 5]).sum() / seconds, result.drive_power[0])
     assert result.spl.tolist() == [0.0, 0.0]
 
 
@@ -95,7 +100,7 @@ def test_metrics_and_files_say_what_happened(tmp_path):
     assert metrics["spl"]["mean"] == 1.0
     files = write_trips(result, [NEAR, NORTH], FIELD, metrics, tmp_path)
     assert json.loads(files["metrics.json"].read_text())["success_interval"][0] < 0.5
-    assert files["overview.png"].stat().st_size > 1000
+    assert all(files[name].stat().st_size > 1000 for name in ("overview.png", "trip.gif"))
     with np.load(files["trips.npz"]) as arrays:
         np.testing.assert_array_equal(arrays["path_0"], NEAR.points)
 

@@ -21,7 +21,7 @@ YARD = "outline = [[0, 0], [40, 0], [40, 40], [0, 40]]\n"
 def trips(outcome, cost):
     n = len(outcome)
     ones = np.ones(n)
-    traces = [np.zeros((2, 3))] * n
+    traces = [np.zeros((2, 6))] * n
     return TripsResult(
         np.array(outcome), *[ones] * 7, Energy(np.array(cost) / 12, np.array(cost), 2.0 * np.array(cost)), traces
     )
@@ -51,7 +51,7 @@ def test_trips_are_written_and_read_back(tmp_path):
     after = load_trips(tmp_path / "trips.npz")
     assert after.outcome.tolist() == ["goal", "fell"]
     np.testing.assert_array_equal(after.energy.system, before.energy.system)
-    assert after.traces[1].shape == (2, 3)
+    assert after.traces[1].shape == (2, 6)
 
 
 def test_the_report_of_a_policy_that_does_not_arrive(job, tmp_path, monkeypatch):
@@ -64,7 +64,8 @@ def test_the_report_of_a_policy_that_does_not_arrive(job, tmp_path, monkeypatch)
     assert "not measured" in page  # the cost of transport of a trip that did not end at the goal
     (row,) = json.loads((tmp_path / "figure5.json").read_text())["trips"]
     assert (row["trips"], row["success"]) == (1, 0.0)
-    assert {"cost_of_transport.png", "yard-a1-single_board.png"} <= {file.name for file in tmp_path.iterdir()}
+    drawn = {"cost_of_transport.png", "yard-a1-single_board.png", "yard-a1-single_board.gif"}
+    assert drawn <= {file.name for file in tmp_path.iterdir()}
 
 
 def test_a_speed_beyond_a_policys_range_is_refused_before_the_simulation(job, tmp_path, monkeypatch):

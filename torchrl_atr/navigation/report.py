@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path as FilePath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from torchrl_atr.evaluation.intervals import bootstrap, wilson
 from torchrl_atr.navigation.map import Map
 from torchrl_atr.navigation.paths import Path
 from torchrl_atr.navigation.trips import COLLIDED, FELL, GOAL, TIMEOUT, TripsResult
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
 _NESTED = ("energy", "traces")
@@ -62,11 +65,18 @@ def _summary(values: Array) -> dict[str, Any]:
 def write_trips(
     result: TripsResult, paths: Sequence[Path], where: Map, metrics: Mapping[str, Any], folder: str | FilePath
 ) -> dict[str, FilePath]:
-    """Write ``metrics.json``, ``trips.npz`` (paths, traces, outcomes) and ``overview.png``; return the files."""
-    files = {name: FilePath(folder) / name for name in ("metrics.json", "trips.npz", "overview.png")}
+    """Write ``metrics.json``, ``trips.npz`` (paths, traces, outcomes), ``overview.png`` and one trip as ``trip.gif``.
+
+    Returns:
+        The files, by name.
+    """
+    from torchrl_atr.navigation.film import best_trip, film_trip
+
+    files = {name: FilePath(folder) / name for name in ("metrics.json", "trips.npz", "overview.png", "trip.gif")}
     write_json(files["metrics.json"], metrics, allow_nan=False)
     save_trips(result, paths, files["trips.npz"])
     plot_trips(result, paths, where, files["overview.png"])
+    film_trip(result, paths[trip := best_trip(result)], where, trip, files["trip.gif"])
     return files
 
 
@@ -98,11 +108,7 @@ def plot_trips(result: TripsResult, paths: Sequence[Path], where: Map, file: str
 
     figure = Figure(figsize=(7, 7), layout="constrained")
     axis = figure.subplots()
-    for part in getattr(where.free, "geoms", [where.free]):
-        axis.fill(*part.exterior.xy, facecolor="white", edgecolor="black", linewidth=0.8)
-        for hole in part.interiors:
-            axis.fill(*hole.xy, facecolor="0.75", edgecolor="0.5", linewidth=0.5)
-    axis.set_facecolor("0.75")
+    draw_map(axis, where)
     for path, trace, outcome in zip(paths, result.traces, result.outcome):
         axis.plot(*path.points.T, color="0.8", linewidth=0.6)
         axis.plot(*trace[:, :2].T, color=COLOURS[str(outcome)], linewidth=0.8)
@@ -112,5 +118,15 @@ def plot_trips(result: TripsResult, paths: Sequence[Path], where: Map, file: str
         Line2D([], [], color=COLOURS[name], label=f"{name}: {int((result.outcome == name).sum())}") for name in shown
     ]
     axis.legend(handles=handles, loc="upper left", fontsize=8)
-    axis.set(aspect="equal", xlabel="x, m", ylabel="y, m", title=f"{where.name}: {len(paths)} trips")
+    axis.set_title(f"{where.name}: {len(paths)} trips")
     return save(figure, file)
+
+
+def draw_map(axis: Axes, where: Map) -> None:
+    """Draw a map's free space, white, and its obstacles, grey."""
+    for part in getattr(where.free, "geoms", [where.free]):
+        axis.fill(*part.exterior.xy, facecolor="white", edgecolor="black", linewidth=0.8)
+        for hole in part.interiors:
+            axis.fill(*hole.xy, facecolor="0.75", edgecolor="0.5", linewidth=0.5)
+    axis.set_facecolor("0.75")
+    axis.set(aspect="equal", xlabel="x, m", ylabel="y, m")

@@ -45,7 +45,8 @@ class TripsResult:
         joint_power: mean positive power, summed over joints, W, (n,).
         drive_power: mean power of the transporter's drive, W, (n,).
         energy: cost of transport, (n,) each.
-        traces: x, y (m) and yaw (rad) every :data:`TRACE_STEPS` control steps, (n,) arrays of (T, 3).
+        traces: x, y (m), yaw (rad), time (s), and mean powers of joints and drive since the row before (W), every
+            :data:`TRACE_STEPS` control steps and at the end, (n,) arrays of (T, 6).
     """
 
     outcome: NDArray[np.str_]
@@ -160,7 +161,8 @@ class _TripLog:
         self.starts = np.stack([[*path.points[0], path.headings[0]] for path in paths])
         self.outcome = np.full(n, "", dtype="<U8")
         self.steps, self.travelled, self.deviation, self.largest, self.joints, self.drive = np.zeros((6, n))
-        self.poses, self.traces = self.starts.copy(), [[start] for start in self.starts]
+        self.poses, self.traces = self.starts.copy(), [[np.pad(start, (0, 3))] for start in self.starts]
+        self.energy_before, self.steps_before = np.zeros((n, 2)), np.zeros(n)
 
     def _world(self) -> Array:
         """Return the poses on the map: each robot starts at the origin of its own plane."""
@@ -187,13 +189,21 @@ class _TripLog:
             (TIMEOUT, self.steps >= self.deadline),
         ):
             self.outcome[active & which & (self.outcome == "")] = name
-        step.down = step.down | torch.from_numpy(self.outcome != "")
-        if step.index % TRACE_STEPS == 0:
-            for i in np.flatnonzero(active):
-                self.traces[i].append(poses[i])
+        ended = self.outcome != ""
+        step.down = step.down | torch.from_numpy(ended)
+        self._trace(active & (ended | (step.index % TRACE_STEPS == TRACE_STEPS - 1)))
         self.owner.pin(torch.as_tensor(np.where((self.outcome == "")[:, None], commands, 0.0), dtype=torch.float32))
         if self.progress is not None:
             self.progress(step.index + 1, self.limit)
+
+    def _trace(self, rows: NDArray[np.bool_]) -> None:
+        """Add a row to the traces of some robots."""
+        energy = np.stack([self.joints, self.drive], -1)
+        power = (energy - self.energy_before) / np.maximum(self.steps - self.steps_before, 1)[:, None]
+        values = np.concatenate([self.poses, (self.steps * CONTROL_DT)[:, None], power], -1)
+        for i in np.flatnonzero(rows):
+            self.traces[i].append(values[i])
+        self.energy_before[rows], self.steps_before[rows] = energy[rows], self.steps[rows]
 
     def result(self) -> TripsResult:
         """Return the outcome; after the ride."""

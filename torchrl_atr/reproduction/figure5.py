@@ -17,6 +17,7 @@ from torchrl_atr.evaluation.access import command_limits
 from torchrl_atr.evaluation.intervals import bootstrap_difference
 from torchrl_atr.navigation import Map, PursuitConfig, TripsResult, load_map, plan_all, run_trips
 from torchrl_atr.navigation import Path as Route
+from torchrl_atr.navigation.film import best_trip, film_trip
 from torchrl_atr.navigation.places import draw_places
 from torchrl_atr.navigation.report import load_trips, plot_trips, save_trips, trip_metrics
 from torchrl_atr.navigation.trips import GOAL, footprint_of
@@ -99,6 +100,7 @@ def figure5(
             name, paths = method.policy.name, routes[where.name, method.group]
             result = results[where.name, name] = _trips(job, method, where, paths)
             images.append(plot_trips(result, paths, where, folder / f"{where.name}-{name}.png"))
+        images.append(_film(results, routes, methods, where, folder))
     rows = [{"map": where, "method": name, **trip_metrics(result)} for (where, name), result in results.items()]
     _plot(results, folder / "cost_of_transport.png")
     differences = list(_differences(results, methods))
@@ -181,6 +183,21 @@ def _trips(job: Job, method: Method, where: Map, paths: Sequence[Route]) -> Trip
         save_trips(result, paths, part / "trips.npz")
 
     return load_trips(job.parts.get(f"trips-{where.name}-{policy.name}", asked, make) / "trips.npz")
+
+
+def _film(
+    results: Mapping[tuple[str, str], TripsResult],
+    routes: Mapping[tuple[str, str], Sequence[Route]],
+    methods: Sequence[Method],
+    where: Map,
+    folder: Path,
+) -> Path:
+    """Film one trip on a map, of the policy that most often arrives there."""
+    method = max(methods, key=lambda each: (results[where.name, each.policy.name].outcome == GOAL).sum())
+    result = results[where.name, method.policy.name]
+    trip = best_trip(result)
+    path = routes[where.name, method.group][trip]
+    return film_trip(result, path, where, trip, folder / f"{where.name}-{method.policy.name}.gif")
 
 
 def _differences(results: Mapping[tuple[str, str], TripsResult], methods: Sequence[Method]) -> Iterator[dict[str, Any]]:
