@@ -47,6 +47,34 @@ def test_a_robot_beside_the_path_returns_to_it():
     assert abs(poses[0, 2]) < 0.05
 
 
+def lateral_errors(response, lag=1.8, seconds=40.0):
+    """Return distances to a line from 1 m beside it, of a robot whose yaw rate follows commands with a lag, s."""
+    line = Path.through(np.array([[0.0, 0.0], [30.0, 0.0], [60.0, 0.0], [90.0, 0.0]]))
+    pursuit = PurePursuit([line], PursuitConfig(speed=1.5, response=response))
+    (x, y, yaw), rate, away = (0.0, 1.0, 0.0), 0.0, []
+    for _ in range(round(seconds / DT)):
+        speed, asked = pursuit.command(np.array([[x, y, yaw]]))[0]
+        rate += DT / lag * (asked - rate)
+        yaw += DT * rate
+        x, y = x + DT * speed * np.cos(yaw), y + DT * speed * np.sin(yaw)
+        away.append(abs(y))
+    return np.array(away)
+
+
+def test_a_robot_that_turns_late_weaves_unless_its_response_is_known():
+    assert lateral_errors(response=0.0)[-500:].max() > 0.5  # the look-ahead of 1 s is shorter than the lag
+    assert lateral_errors(response=1.8)[-500:].max() < 0.02
+
+
+def test_the_prediction_follows_the_arc_that_is_driven():
+    pursuit = PurePursuit([circle(5.0)], PursuitConfig(speed=1.0, response=2.0))
+    angle = 0.2 * DT * np.arange(100)
+    for pose in np.stack([5.0 * np.sin(angle), 5.0 * (1.0 - np.cos(angle)), angle], -1):
+        later = pursuit._predicted(pose[None])[0]
+    ahead = angle[-1] + 0.2 * 2.0
+    np.testing.assert_allclose(later, [5.0 * np.sin(ahead), 5.0 * (1.0 - np.cos(ahead)), ahead], atol=0.02)
+
+
 def test_it_brakes_before_the_goal_and_stops_there():
     config = PursuitConfig(speed=2.0, deceleration=0.5, goal_radius=0.5)
     pursuit, poses, _, commands = follow([STRAIGHT], np.zeros((1, 3)), config, 25.0)

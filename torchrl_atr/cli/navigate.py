@@ -35,6 +35,8 @@ def add_navigate(parser: argparse.ArgumentParser) -> None:
     text = "rad/s of a turn; the paths' turning radius is speed over this; default: 0.5"
     parser.add_argument("--yaw-rate", type=number_in(float, 0.01, 100), default=0.5, help=text)
     parser.add_argument("--margin", type=number_in(float, 0, 100), default=0.8, help="to obstacles, m; default: 0.8")
+    text = "seconds that a commanded yaw rate takes to come; default: 2 for riding, 0 for other tasks"
+    parser.add_argument("--response", type=number_in(float, 0, 100), help=text)
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--sensors", metavar="NAME", help="default: the run's")
     parser.add_argument(
@@ -47,6 +49,7 @@ def navigate(arguments: argparse.Namespace) -> None:
     from torchrl_atr._cpus import available_cpus
     from torchrl_atr.navigation import PursuitConfig, load_map, plan_all, run_trips
     from torchrl_atr.navigation.places import draw_places
+    from torchrl_atr.navigation.pursuit import RESPONSES
     from torchrl_atr.navigation.report import trip_metrics, write_trips
     from torchrl_atr.navigation.trips import footprint_of
     from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
@@ -62,7 +65,8 @@ def navigate(arguments: argparse.Namespace) -> None:
         say(f"planning {len(starts)} paths on {where.name!r} to ({goal[0]:.1f}, {goal[1]:.1f})")
         asked = {"goal": goal, "turning_radius": radius, "footprint": footprint, "margin": arguments.margin}
         paths = plan_all(starts, available_cpus(), arguments.seed + 1, where=where, **asked)
-        pursuit = PursuitConfig(speed=arguments.speed, max_yaw_rate=1.5 * arguments.yaw_rate)
+        response = RESPONSES.get(config.task.name, 0.0) if arguments.response is None else arguments.response
+        pursuit = PursuitConfig(speed=arguments.speed, max_yaw_rate=1.5 * arguments.yaw_rate, response=response)
         chosen = {**DEPLOYMENT_OVERRIDES, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
         with step_progress("riding") as progress:
             make = partial(make_env, config, **chosen)
