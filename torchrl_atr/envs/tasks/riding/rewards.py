@@ -29,8 +29,9 @@ def steering_command(c: StepContext) -> Tensor:
 
 
 def position_alignment(c: StepContext) -> Tensor:
-    """Compute r2: ‖p_B,xy - p_P,xy‖."""
-    return (c.state.position - c.state.platform_position)[:, :2].norm(dim=-1)
+    """Compute r2: ‖p_B,xy - p_P,xy‖, by default with the centre of mass for p_B (A36)."""
+    aligned = c.state.com if c.interpretation.aligned_com else c.state.position
+    return (aligned - c.state.platform_position)[:, :2].norm(dim=-1)
 
 
 def heading_alignment(c: StepContext) -> Tensor:
