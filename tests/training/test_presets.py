@@ -31,6 +31,7 @@ ADDITIONS = {  # setting and the value that turns it off, kept apart from the de
     "task.stance": (),
     "task.pushes.interval": 3.0,
     "task.interpretation.coulomb_smoothing": 0.0,
+    "task.interpretation.aligned_com": False,
     "task.interpretation.driven_smoothness": False,
     "curriculum.score_from_seconds": 0.0,
     "curriculum.max_speed": 0.0,

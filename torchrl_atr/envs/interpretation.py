@@ -1,6 +1,6 @@
 """Open questions of the paper as settings: one field for each, and named profiles that answer all of them.
 
-Numbers A1 ... A34 are those of docs/open_questions.md; ``torchrl-atr list questions`` prints every question with its
+Numbers A1 ... A40 are those of docs/open_questions.md; ``torchrl-atr list questions`` prints every question with its
 answers.
 """
 
@@ -78,7 +78,7 @@ class Interpretation(Settings):
     current_in_history: bool = setting(False, question="A19")
     """End the estimators' history with o_t instead of o_{t-1}. The history is printed as o_{t-1} ... o_{t-H}, so
     estimates lag by one step, 20 ms. Extreme Parkour leaves o_t out as well; with it, estimates are of the present."""
-    aligned_com: bool = setting(True, question="A36", off=False, addition="r2 of the centre of mass")
+    aligned_com: bool = setting(True, question="A40", off=False, addition="r2 of the centre of mass")
     """Let r2 be the distance of the robot's centre of mass from the platform's pivot, not that of its trunk's origin.
     Balance puts the centre of mass over the pivot. Hidden shifts of up to 0.2 m, and Spot's own of 34 mm, part it from
     the trunk's origin: r2 as printed pays for standing off balance, which drives the transporter."""

@@ -6,6 +6,7 @@ from, which messages name.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from textwrap import shorten
@@ -37,12 +38,13 @@ _NEEDED = (
 """Entries of a checkpoint that every reader of a run needs."""
 
 _SINCE = {
-    ("ppo", "tracking_errors"): False,
-    ("task", "observe_tilt"): False,
-    ("curriculum", "slew_rates"): (),
-    ("task", "stance"): (),
-    ("task", "steadiness"): 0.0,
-    ("task", "fall_weight"): 1.0,
+    "ppo.tracking_errors": False,
+    "task.observe_tilt": False,
+    "curriculum.slew_rates": (),
+    "task.stance": (),
+    "task.steadiness": 0.0,
+    "task.fall_weight": 1.0,
+    "task.interpretation.aligned_com": False,
 }
 """Settings that older runs lack and that change what they did, with what that was."""
 
@@ -94,9 +96,14 @@ def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] =
     """
     check_entries(state, run)
     settings = located_settings(state["config"], run.parent if run.is_file() else run)
-    for (group, name), value in _SINCE.items():
-        if isinstance(settings.get(group), dict):
-            settings[group] = {name: value, **settings[group]}
+    settings = copy.deepcopy(settings)
+    for path, value in _SINCE.items():
+        *groups, name = path.split(".")
+        owner: Any = settings
+        for group in groups:
+            owner = owner.get(group) if isinstance(owner, dict) else None
+        if isinstance(owner, dict):
+            owner.setdefault(name, value)
     imported = list(imports)
     try:
         import_modules(imports)

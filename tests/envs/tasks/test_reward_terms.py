@@ -31,7 +31,7 @@ def test_terms_are_scaled_and_add_up(make_context, times_dt, scale):
 
 
 def test_clipping_cuts_the_sum_at_zero_and_adds_termination_after(make_context):
-    bad = {"position": [3.0, 0.0, 0.455]}  # -90 for the position
+    bad = {"com": [3.0, 0.0, 0.455]}  # -90 for the alignment
     for situation, expected in (
         (bad, 0.0),
         ({**bad, "terminated": True}, -10.0),

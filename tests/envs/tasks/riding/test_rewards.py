@@ -37,7 +37,7 @@ SHEET = [
     ("forward_command", {"speeds": [-1.0, 0.0], "command": (1.0, 0.0)}, 8.0 * math.exp(-4.0)),
     ("steering_command", {"speeds": [0.0, -0.3], "command": (0.0, -0.3)}, 8.0),
     ("steering_command", {"speeds": [9.0, 0.2], "command": (0.0, 0.45)}, 8.0 * math.exp(-0.5)),
-    ("position_alignment", {"position": [1.3, 0.4, 0.5], "platform_position": [1.0, 0.0, 0.15]}, -30.0 * 0.5),
+    ("position_alignment", {"com": [1.3, 0.4, 0.5], "platform_position": [1.0, 0.0, 0.15]}, -30.0 * 0.5),
     ("heading_alignment", {"euler": [0, 0, 0.3], "platform_euler": [0, 0, -0.2]}, -4.0 * 0.5),
     ("heading_alignment", {"euler": [0, 0, 3.1], "platform_euler": [0, 0, -3.1]}, -4.0 * (2 * math.pi - 6.2)),
     ("com_stabilization", {"com": [0.19, -0.09, 0.5]}, 0.0),
@@ -101,6 +101,13 @@ def test_polygon_is_the_quadrilateral_of_the_feet():
     feet = torch.tensor([[0.2, -0.1], [-0.3, -0.2], [0.2, 0.1], [-0.3, 0.2]]).expand(6, 4, 2)
     points = torch.tensor([[0.0, 0.0], [0.0, 0.13], [0.1, 0.13], [-0.25, -0.18], [0.21, 0.0], [-0.31, 0.0]])
     assert outside_polygon(points, feet).tolist() == [0, 0, 1, 0, 1, 1]
+
+
+def test_alignment_is_of_the_centre_of_mass_or_of_the_trunks_origin(make_context):
+    shifted = {"com": [1.0, 0.0, 0.5], "position": [1.3, 0.4, 0.5], "platform_position": [1.0, 0.0, 0.15]}
+    for by_com, expected in ((True, 0.0), (False, -30.0 * 0.5)):
+        context = make_context(**shifted, interpretation=Interpretation(aligned_com=by_com))
+        assert RIDING_REWARDS["position_alignment"](context)[0].item() == pytest.approx(expected, rel=1e-6)
 
 
 def test_polygon_of_the_feet_in_contact():

@@ -29,7 +29,7 @@ def steering_command(c: StepContext) -> Tensor:
 
 
 def position_alignment(c: StepContext) -> Tensor:
-    """Compute r2: ‖p_B,xy - p_P,xy‖, by default with the centre of mass for p_B (A36)."""
+    """Compute r2: ‖p_B,xy - p_P,xy‖, by default with the centre of mass for p_B (A40)."""
     aligned = c.state.com if c.interpretation.aligned_com else c.state.position
     return (aligned - c.state.platform_position)[:, :2].norm(dim=-1)
 
