@@ -86,3 +86,13 @@ def test_a_displaced_robot_that_moves_moves_with_the_board():
     arm = state.position[:, :2] - state.platform_position[:, :2]
     rigid = state.platform_velocity[:, :2] + state.speeds[:, 1:] * torch.stack([-arm[:, 1], arm[:, 0]], -1)
     torch.testing.assert_close(state.velocity[:, :2], rigid, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize("robot", ["a1", "go1", "anymal_c", "spot"])
+def test_a_robot_of_nominal_masses_starts_balanced_with_its_centre_of_mass_over_the_pivot(robot):
+    env = RidingEnv(robot, "two_board", num_envs=4, seed=0, num_threads=1, randomization="off")
+    env.reset()
+    state = env.runner.terms.extractor.read()
+    assert (state.com - state.platform_position)[:, :2].norm(dim=-1).max() < 2e-3
+    if robot == "spot":  # whose trunk's origin is elsewhere: r2 of the origin (A40) charges 1 a second for balance
+        assert (state.position - state.platform_position)[:, 0].min() > 0.03
