@@ -19,7 +19,9 @@ def test_profiles_are_those_of_the_presets():
 
 
 def test_paper_keeps_what_makes_its_text_true_and_drops_what_is_added():
-    assert get_interpretation("paper") == Interpretation(coulomb_smoothing=0.0, driven_smoothness=False)
+    assert get_interpretation("paper") == Interpretation(
+        coulomb_smoothing=0.0, driven_smoothness=False, aligned_com=False
+    )
 
 
 def test_literal_takes_the_paper_at_its_word():
