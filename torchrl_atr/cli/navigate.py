@@ -66,7 +66,7 @@ def navigate(arguments: argparse.Namespace) -> None:
         asked = {"goal": goal, "turning_radius": radius, "footprint": footprint, "margin": arguments.margin}
         paths = plan_all(starts, available_cpus(), arguments.seed + 1, where=where, **asked)
         response = RESPONSES.get(config.task.name, 0.0) if arguments.response is None else arguments.response
-        pursuit = PursuitConfig(speed=arguments.speed, max_yaw_rate=1.5 * arguments.yaw_rate, response=response)
+        pursuit = PursuitConfig(speed=arguments.speed, response=response)
         chosen = {**DEPLOYMENT_OVERRIDES, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
         with step_progress("riding") as progress:
             make = partial(make_env, config, **chosen)

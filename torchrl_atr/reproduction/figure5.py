@@ -176,7 +176,7 @@ def _routes(job: Job, where: Map, group: str, footprint: Any, starts: int) -> li
 def _trips(job: Job, method: Method, where: Map, paths: Sequence[Route]) -> TripsResult:
     policy, length = method.policy, [round(path.length, 6) for path in paths]
     response = RESPONSES["riding"] if policy.rides else 0.0
-    pursuit = PursuitConfig(speed=SPEEDS[method.group], max_yaw_rate=1.5 * _YAW_RATE, response=response)
+    pursuit = PursuitConfig(speed=SPEEDS[method.group], response=response)
     asked = {"policy": policy.fingerprint, "map": where.free.wkt, "paths": length, "seed": job.seed}
     asked |= {"pursuit": asdict(pursuit)}
 
