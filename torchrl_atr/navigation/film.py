@@ -26,7 +26,7 @@ _ARROW = 7.0
 
 
 class _Frames(NamedTuple):
-    """What the frames show, one row each: time (s), x, y (m), yaw (rad), speed (m/s), powers (W)."""
+    """Contents of the frames, one row each: time (s), x, y (m), yaw (rad), speed (m/s), powers (W)."""
 
     seconds: NDArray[np.float64]
     poses: NDArray[np.float64]
