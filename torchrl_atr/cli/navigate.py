@@ -34,6 +34,8 @@ def add_navigate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speed", type=number_in(float, 0.1, 100), default=1.5, help="m/s; default: 1.5")
     text = "rad/s of a turn; the paths' turning radius is speed over this; default: 0.5"
     parser.add_argument("--yaw-rate", type=number_in(float, 0.01, 100), default=0.5, help=text)
+    text = "rad/s, the largest command, which a board follows only in part; default: 1"
+    parser.add_argument("--max-yaw-rate", type=number_in(float, 0.01, 100), default=1.0, help=text)
     parser.add_argument("--margin", type=number_in(float, 0, 100), default=0.8, help="to obstacles, m; default: 0.8")
     text = "seconds that a commanded yaw rate takes to come; default: 2 for riding, 0 for other tasks"
     parser.add_argument("--response", type=number_in(float, 0, 100), help=text)
@@ -66,7 +68,7 @@ def navigate(arguments: argparse.Namespace) -> None:
         asked = {"goal": goal, "turning_radius": radius, "footprint": footprint, "margin": arguments.margin}
         paths = plan_all(starts, available_cpus(), arguments.seed + 1, where=where, **asked)
         response = RESPONSES.get(config.task.name, 0.0) if arguments.response is None else arguments.response
-        pursuit = PursuitConfig(speed=arguments.speed, response=response)
+        pursuit = PursuitConfig(arguments.speed, arguments.max_yaw_rate, response=response)
         chosen = {**DEPLOYMENT_OVERRIDES, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
         with step_progress("riding") as progress:
             make = partial(make_env, config, **chosen)

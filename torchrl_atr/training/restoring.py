@@ -95,8 +95,7 @@ def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] =
         CheckpointError: if an entry is missing, or a module.
     """
     check_entries(state, run)
-    settings = located_settings(state["config"], run.parent if run.is_file() else run)
-    settings = copy.deepcopy(settings)
+    settings = copy.deepcopy(located_settings(state["config"], run.parent if run.is_file() else run))
     for path, value in _SINCE.items():
         *groups, name = path.split(".")
         owner: Any = settings
