@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
 
@@ -14,8 +15,8 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr.evaluation.plotting import PALETTE
 from torchrl_atr.navigation.map import Map
+from torchrl_atr.navigation.overview import COLOURS, draw_map
 from torchrl_atr.navigation.paths import Path
-from torchrl_atr.navigation.report import COLOURS, draw_map
 from torchrl_atr.navigation.trips import GOAL, TripsResult
 
 FRAMES, FPS = 80, 10
@@ -38,6 +39,12 @@ def best_trip(result: TripsResult) -> int:
     """Return the trip to show: the longest that reached the goal; without any, the one that came farthest."""
     there = result.outcome == GOAL
     return int(np.where(there, result.planned, result.travelled if not there.any() else -1.0).argmax())
+
+
+def film_best(result: TripsResult, paths: Sequence[Path], where: Map, file: str | FilePath) -> FilePath:
+    """Film :func:`best_trip`, one of the trips along ``paths``: :func:`film_trip`."""
+    trip = best_trip(result)
+    return film_trip(result, paths[trip], where, trip, file)
 
 
 def film_trip(result: TripsResult, path: Path, where: Map, trip: int, file: str | FilePath) -> FilePath:

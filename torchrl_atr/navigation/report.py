@@ -1,11 +1,11 @@
-"""Metrics, files and figure of trips."""
+"""Metrics and files of trips."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr.evaluation.energy import Energy
 from torchrl_atr.evaluation.intervals import bootstrap, wilson
+from torchrl_atr.navigation.film import film_best
 from torchrl_atr.navigation.map import Map
+from torchrl_atr.navigation.overview import COLOURS, plot_trips
 from torchrl_atr.navigation.paths import Path
-from torchrl_atr.navigation.trips import COLLIDED, FELL, GOAL, TIMEOUT, TripsResult
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from torchrl_atr.navigation.trips import GOAL, TripsResult
 
 Array = NDArray[np.float64]
 _NESTED = ("energy", "traces")
-COLOURS = {GOAL: "tab:blue", FELL: "tab:red", COLLIDED: "tab:orange", TIMEOUT: "tab:purple"}
 
 
 def trip_metrics(result: TripsResult) -> dict[str, Any]:
@@ -70,13 +68,11 @@ def write_trips(
     Returns:
         The files, by name.
     """
-    from torchrl_atr.navigation.film import best_trip, film_trip
-
     files = {name: FilePath(folder) / name for name in ("metrics.json", "trips.npz", "overview.png", "trip.gif")}
     write_json(files["metrics.json"], metrics, allow_nan=False)
     save_trips(result, paths, files["trips.npz"])
     plot_trips(result, paths, where, files["overview.png"])
-    film_trip(result, paths[trip := best_trip(result)], where, trip, files["trip.gif"])
+    film_best(result, paths, where, files["trip.gif"])
     return files
 
 
@@ -97,36 +93,3 @@ def load_trips(file: str | FilePath) -> TripsResult:
         energy = Energy(*(arrays[f"cot_{name}"] for name in Energy._fields))
         traces = [arrays[f"trace_{i}"] for i in range(len(values["outcome"]))]
     return TripsResult(**values, energy=energy, traces=traces)
-
-
-def plot_trips(result: TripsResult, paths: Sequence[Path], where: Map, file: str | FilePath) -> FilePath:
-    """Draw the map, the planned paths (grey) and what was travelled, coloured by outcome."""
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-
-    from torchrl_atr.evaluation.plotting import save
-
-    figure = Figure(figsize=(7, 7), layout="constrained")
-    axis = figure.subplots()
-    draw_map(axis, where)
-    for path, trace, outcome in zip(paths, result.traces, result.outcome):
-        axis.plot(*path.points.T, color="0.8", linewidth=0.6)
-        axis.plot(*trace[:, :2].T, color=COLOURS[str(outcome)], linewidth=0.8)
-        axis.plot(*trace[-1, :2], "o", color=COLOURS[str(outcome)], markersize=3)
-    shown = [name for name in COLOURS if (result.outcome == name).any()]
-    handles = [
-        Line2D([], [], color=COLOURS[name], label=f"{name}: {int((result.outcome == name).sum())}") for name in shown
-    ]
-    axis.legend(handles=handles, loc="upper left", fontsize=8)
-    axis.set_title(f"{where.name}: {len(paths)} trips")
-    return save(figure, file)
-
-
-def draw_map(axis: Axes, where: Map) -> None:
-    """Draw a map's free space, white, and its obstacles, grey."""
-    for part in getattr(where.free, "geoms", [where.free]):
-        axis.fill(*part.exterior.xy, facecolor="white", edgecolor="black", linewidth=0.8)
-        for hole in part.interiors:
-            axis.fill(*hole.xy, facecolor="0.75", edgecolor="0.5", linewidth=0.5)
-    axis.set_facecolor("0.75")
-    axis.set(aspect="equal", xlabel="x, m", ylabel="y, m")

@@ -18,10 +18,11 @@ from torchrl_atr.evaluation.access import command_limits
 from torchrl_atr.evaluation.intervals import bootstrap_difference
 from torchrl_atr.navigation import Map, PursuitConfig, TripsResult, load_map, plan_all, run_trips
 from torchrl_atr.navigation import Path as Route
-from torchrl_atr.navigation.film import best_trip, film_trip
+from torchrl_atr.navigation.film import film_best
+from torchrl_atr.navigation.overview import plot_trips
 from torchrl_atr.navigation.places import draw_places
 from torchrl_atr.navigation.pursuit import RESPONSES
-from torchrl_atr.navigation.report import load_trips, plot_trips, save_trips, trip_metrics
+from torchrl_atr.navigation.report import load_trips, save_trips, trip_metrics
 from torchrl_atr.navigation.trips import GOAL, footprint_of
 from torchrl_atr.reproduction.paper import SPEEDS
 from torchrl_atr.reproduction.policies import RiderPolicy
@@ -197,10 +198,9 @@ def _film(
 ) -> Path:
     """Film one trip on a map, of the policy that most often arrives there."""
     method = max(methods, key=lambda each: (results[where.name, each.policy.name].outcome == GOAL).sum())
-    result = results[where.name, method.policy.name]
-    trip = best_trip(result)
-    path = routes[where.name, method.group][trip]
-    return film_trip(result, path, where, trip, folder / f"{where.name}-{method.policy.name}.gif")
+    name = method.policy.name
+    file = folder / f"{where.name}-{name}.gif"
+    return film_best(results[where.name, name], routes[where.name, method.group], where, file)
 
 
 def _differences(results: Mapping[tuple[str, str], TripsResult], methods: Sequence[Method]) -> Iterator[dict[str, Any]]:
