@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from torchrl_atr import cli
 from torchrl_atr._errors import UserError
-from torchrl_atr._files import atomic, prepare_output, write_json
-from torchrl_atr._interrupt import Interrupt
+from torchrl_atr._files import atomic, prepare_output, say, write_json
+from torchrl_atr._interrupt import Interrupt, Stopped
 from torchrl_atr._nested import flat
 from torchrl_atr.training import ConfigError, TrainConfig, make_config, parse_settings, read_config
 from torchrl_atr.training.provenance import cores
@@ -35,6 +37,24 @@ def origin(report: dict[str, Any]) -> str:
         '`count`: 3 s on 1 core (Z80).'
     """
     return f"`{report['command']}`: {report['wall_seconds']:.0f} s on {cores(report['hardware'])}."
+
+
+def call(*words: Any) -> None:
+    """Run a command of ``torchrl-atr``, after a line that says which.
+
+    Raises:
+        Stopped: if a signal stopped it.
+        UserError: if it failed; its message is above.
+    """
+    asked = [str(word) for word in words]
+    say(f"torchrl-atr {shlex.join(asked)}")
+    code = cli.main(asked)
+    if code > 128:
+        raise Stopped(code - 128)
+    if code:
+        raise UserError(
+            f"`torchrl-atr {shlex.join(asked)}` failed; see its message above. The same command goes on here"
+        )
 
 
 def parse_overrides(texts: list[str]) -> dict[str, Any]:

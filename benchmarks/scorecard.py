@@ -1,13 +1,13 @@
 """Scorecard of a trained policy, by one command: ``python -m benchmarks.scorecard RUN``.
 
-Each row is one ``torchrl-atr evaluate``, whose report is in a folder of RUN. Stopped and called again, it continues
-with the missing rows.
+Each row is one ``torchrl-atr evaluate``, whose report is in a folder of RUN. Commands are not clipped to the run's
+range, which is of what the policy masters. Stopped and called again, it continues with the rows that are missing, or of
+another training or seed.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -15,12 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import results
-from torchrl_atr import cli
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import say
+from torchrl_atr.deploy.card import read_report
 from torchrl_atr.deploy.manifest import is_bundle
 from torchrl_atr.evaluation.intervals import wilson
 from torchrl_atr.training.provenance import cores, machine
+from torchrl_atr.training.run_files import ORIGIN
 
 STILL = ("--max-speed", "0", "--max-yaw-rate", "0", "--no-pushes")
 NARROW = ("--max-speed", "5", "--max-yaw-rate", "1", "--speed-step", "1", "--yaw-rate-step", "0.25")
@@ -45,7 +46,7 @@ EVALUATIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 def evaluate(
     run: Path, seed: int, rows: Sequence[str], more: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, dict[str, Any]]:
-    """Run the missing evaluations of ``rows``, and return the metrics of each.
+    """Run the evaluations of ``rows`` that are missing, or of another training or seed; return the metrics of each.
 
     Args:
         run: folder of a trained run.
@@ -58,14 +59,14 @@ def evaluate(
     """
     if is_bundle(run):
         raise UserError(f"{run} is a policy bundle, whose files are sealed; give the run that it was exported from")
-    metrics = {}
+    metrics, trained = {}, read_report(run / ORIGIN)
     for name in rows:
         folder, options = run / name, (*EVALUATIONS[name][1], *(more or {}).get(name, ()))
-        if not (folder / "metrics.json").is_file():
-            say(f"{name}: torchrl-atr evaluate {run} {' '.join(options)}")
-            if cli.main(["evaluate", str(run), "--seed", str(seed), "--output", str(folder), *options]):
-                raise UserError(f"the evaluation {name!r} failed; see its message above")
-        metrics[name] = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        found = read_report(folder / "metrics.json")
+        if found is None or found["run"] != trained or found["evaluation"]["seed"] != seed:
+            asked = ("--seed", seed, "--output", folder, "--command-range", "ignore")
+            results.call("evaluate", run, *asked, *options)
+        metrics[name] = read_report(folder / "metrics.json")
     return metrics
 
 
@@ -91,9 +92,9 @@ def page(report: Mapping[str, Any]) -> str:
         f"{origin['minutes']:.0f} minutes on {cores(origin['hardware'])}, seed {origin['seed']}.",
         "",
         f"Measured by `{report['command']}`. Deployed: the policy reads what a robot senses, with the sensors that it "
-        "was trained with; training range unless a row says otherwise. Intervals are of 95 %; errors are means over "
-        "robots that are up, after settling; mastered commands are those at which most robots stay up and settle "
-        "within 0.5 m/s and 0.3 rad/s.",
+        "was trained with; commands are not clipped; training range unless a row says otherwise. Intervals are of "
+        "95 %; errors are means over robots that are up, after settling; mastered commands are those at which most "
+        "robots stay up and settle within 0.5 m/s and 0.3 rad/s.",
         "",
         "| protocol | robots | up at the end | speed error, m/s | yaw error, rad/s | commands mastered |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -120,8 +121,9 @@ def measure(
     """Evaluate a run, see :func:`evaluate`; write ``scorecard.json`` and ``README.md`` into it; return the report."""
     metrics = evaluate(run, seed, [name for name in EVALUATIONS if name in rows], more)
     origin = next(iter(metrics.values()))
+    some = "" if len(metrics) == len(EVALUATIONS) else f" --rows {' '.join(metrics)}"
     report = {
-        "command": f"python -m benchmarks.scorecard {run} --seed {seed}",
+        "command": f"python -m benchmarks.scorecard {run} --seed {seed}{some}",
         "robot": origin["evaluation"]["robot"],
         "transporter": origin["evaluation"]["transporter"],
         "run": origin["run"],

@@ -10,8 +10,6 @@ report is of all pairs that are packed. Two commands at once, each with half of 
 from __future__ import annotations
 
 import argparse
-import json
-import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,10 +19,9 @@ from typing import Any, NamedTuple
 
 from benchmarks import results, scorecard
 from benchmarks.every_pair import PAIRS, train
-from torchrl_atr import cli
-from torchrl_atr._errors import UserError
 from torchrl_atr._files import say
-from torchrl_atr.deploy.manifest import POLICY, is_bundle, read_manifest
+from torchrl_atr.deploy.card import figures, read_report
+from torchrl_atr.deploy.manifest import MANIFEST, POLICY, BundleError, is_bundle, read_manifest
 from torchrl_atr.evaluation.intervals import share_text, wilson
 from torchrl_atr.training import TrainConfig, make_config
 from torchrl_atr.training.provenance import cores, machine
@@ -109,31 +106,14 @@ def _record_range(pair: Pair) -> None:
 
 def _sweep(pair: Pair, protocol: str) -> None:
     parameters = ["--parameters", "payload"] if protocol == "robustness" else []
-    _call(
+    results.call(
         "evaluate", pair.run, "--protocol", protocol, "--seed", pair.seed, *([*_QUICK_RIDE, *parameters] * pair.quick)
     )
 
 
 def _pack(pair: Pair) -> None:
-    _call("export", pair.run, "--output", pair.bundle)
-    _call("verify", pair.bundle)
-
-
-def _call(*words: Any) -> None:
-    """Run a command of ``torchrl-atr``.
-
-    Raises:
-        UserError: if it fails.
-    """
-    asked = [str(word) for word in words]
-    say(f"torchrl-atr {shlex.join(asked)}")
-    code = cli.main(asked)
-    if code > 128:
-        raise KeyboardInterrupt
-    if code:
-        raise UserError(
-            f"`torchrl-atr {shlex.join(asked)}` failed; see its message above. The same command goes on here"
-        )
+    results.call("export", pair.run, "--output", pair.bundle)
+    results.call("verify", pair.bundle)
 
 
 def _has(pair: Pair, file: str) -> bool:
@@ -141,10 +121,17 @@ def _has(pair: Pair, file: str) -> bool:
 
 
 def _packed(pair: Pair) -> bool:
-    """Return whether the bundle is of the run as it is."""
+    """Return whether the bundle is whole, and of the run and its measurements as they are."""
     if not is_bundle(pair.bundle):
         return False
-    return bool(read_manifest(pair.bundle)["training"] == _read(pair.run / "run.json"))
+    try:
+        manifest = read_manifest(pair.bundle)
+    except BundleError:  # changed, or of an earlier version
+        return False
+    packed = (pair.bundle / MANIFEST).stat().st_mtime
+    swept = [file.stat().st_mtime for name in (_ROBUST, _OTHERS) if (file := pair.run / name).is_file()]
+    same = manifest["training"] == read_report(pair.run / "run.json") and manifest["figures"] == figures(pair.run)
+    return same and packed >= max(swept, default=0.0)
 
 
 _CARD, _ROBUST, _OTHERS = "scorecard.json", "robustness/metrics.json", "compatibility/metrics.json"
@@ -192,7 +179,7 @@ def report(pairs: Sequence[Pair], command: str) -> dict[str, Any]:
     rows = {}
     for pair in pairs:
         if _packed(pair):
-            manifest, card = read_manifest(pair.bundle), _read(pair.run / "scorecard.json")
+            manifest, card = read_manifest(pair.bundle), read_report(pair.run / _CARD)
             rows[pair.name] = {
                 "training": manifest["training"],
                 "command_limits": manifest["command"]["limits"],
@@ -251,10 +238,6 @@ def _up(metrics: Mapping[str, Any]) -> str:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
-
-
-def _read(path: Path) -> Any:
-    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
 
 def _all(arguments: argparse.Namespace) -> None:

@@ -46,6 +46,7 @@ def steps(monkeypatch):
     def bundle(pair):
         (pair.bundle / "policy.onnx").write_text("")
         facts = {"schema": "torchrl_atr.policy_bundle", "version": 2, "files": {}, "training": TRAINED}
+        facts["figures"] = zoo.figures(pair.run)
         limits = {"max_speed": 2.0, "max_yaw_rate": 1.0}
         return seal({**facts, "command": {"limits": limits}, "parity": {"error": 3e-6}})
 
@@ -136,7 +137,15 @@ def test_what_cannot_be_is_refused(asked, tmp_path, capsys):
     assert "trained with max_minutes=3.0 instead of 90.0" in capsys.readouterr().err
 
 
-def test_a_failed_command_is_named(capsys):
-    with pytest.raises(zoo.UserError, match="`torchrl-atr verify nowhere` failed"):
-        zoo._call("verify", "nowhere")
-    assert "no policy bundle at nowhere" in capsys.readouterr().err
+@pytest.mark.parametrize("name", ["robustness", "bundle"])
+def test_a_bundle_of_other_measurements_or_a_damaged_one_is_packed_again(asked, steps, tmp_path, name):
+    pairs = ["--pairs", "go1:two_board"]
+    assert zoo.main([*asked, *pairs]) == 0
+    steps.clear()
+    if name == "bundle":
+        (tmp_path / "policies" / "go1-two_board" / MANIFEST).write_text("{}")
+    else:
+        (tmp_path / "runs" / "go1-two_board" / "robustness" / "metrics.json").unlink()
+    assert zoo.main([*asked, *pairs]) == 0
+    done = [step for _, step in steps]
+    assert done == (["bundle"] if name == "bundle" else ["range of commands", "robustness", "bundle"])

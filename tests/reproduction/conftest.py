@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from torchrl_atr.reproduction.parts import Parts
-from torchrl_atr.reproduction.policies import RiderPolicy, load_policy
+from torchrl_atr.reproduction.policies import RiderPolicy, load_rider
 from torchrl_atr.reproduction.report import Job
 from torchrl_atr.training import Trainer, make_config
 
@@ -33,7 +33,7 @@ def untrained_run(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def untrained(untrained_run) -> RiderPolicy:
-    return load_policy(untrained_run)
+    return load_rider(untrained_run)
 
 
 @pytest.fixture

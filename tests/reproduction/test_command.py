@@ -21,7 +21,7 @@ def test_there_are_eight_pairs_in_two_groups():
 
 
 def test_policies_are_checked_against_the_pair_that_they_are_given_for(untrained, monkeypatch):
-    monkeypatch.setattr(policies, "load_policy", lambda folder, imports: untrained)
+    monkeypatch.setattr(policies, "load_rider", lambda folder, imports: untrained)
     assert policies.load_policies(["a1-single_board=run"])[0].name == "a1-single_board"
     with pytest.raises(InputError, match="the run is of a1-single_board, not of go1-single_board"):
         policies.load_policies(["go1-single_board=run"])

@@ -13,7 +13,9 @@ from torchrl_atr.evaluation.energy import Energy
 from torchrl_atr.navigation import Path, TripsResult
 from torchrl_atr.navigation.report import load_trips, save_trips
 from torchrl_atr.reproduction import figure5 as module
-from torchrl_atr.reproduction.figure5 import Method, figure5
+from torchrl_atr.reproduction import trip_groups
+from torchrl_atr.reproduction.figure5 import figure5
+from torchrl_atr.reproduction.trip_groups import Method, group_of, speed_text
 
 YARD = "outline = [[0, 0], [40, 0], [40, 40], [0, 40]]\n"
 
@@ -68,9 +70,21 @@ def test_the_report_of_a_policy_that_does_not_arrive(job, tmp_path, monkeypatch)
     assert drawn <= {file.name for file in tmp_path.iterdir()}
 
 
-def test_a_speed_beyond_a_policys_range_is_refused_before_the_simulation(job, tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "SPEEDS", {"G1": 50.0})
-    with pytest.raises(InputError, match="trips of G1 are at 50 m/s, and it takes commands up to 15 m/s"):
+def test_trips_are_as_fast_as_all_of_a_group_take(monkeypatch):
+    monkeypatch.setattr(trip_groups, "SPEEDS", {"G2": 3.0})
+    slow, fast = (
+        method(name, True)._replace(group="G2", fastest=most) for name, most in (("slow", 2.2), ("fast", 5.0))
+    )
+    fast = fast._replace(footprint=(0.8, 0.9))
+    group = group_of("G2", [slow, fast, method("other", True)])
+    assert (group.speed, group.footprint, group.slowest) == (2.2, (1.0, 0.9), "slow")
+    assert speed_text(group) == "2.2 m/s in G2 (the paper's 3 are more than slow takes)"
+    assert speed_text(group_of("G2", [fast])) == "3 m/s in G2"
+
+
+def test_a_policy_that_hardly_moves_is_refused_before_the_simulation(job, tmp_path, monkeypatch):
+    monkeypatch.setattr(trip_groups, "SLOWEST", 50.0)
+    with pytest.raises(InputError, match="takes commands up to 15 m/s, and trips are at 50 m/s or more"):
         figure5(job, tmp_path, maps=["open"])
 
 

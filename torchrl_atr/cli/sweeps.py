@@ -107,10 +107,10 @@ class _Unfinished:
 
     def __init__(self, arguments: argparse.Namespace, networks: ROANetworks) -> None:
         self.path = arguments.output / _UNFINISHED
-        from torchrl_atr.comparison.study import fingerprint
+        from torchrl_atr.modules import fingerprint
 
         told = {name: str(value) for name, value in vars(arguments).items() if name not in ("parser", "parameters")}
-        self.settings = {**told, "command_range": str(networks.command_range), "weights": fingerprint(networks)}
+        self.settings = {**told, "policy": fingerprint(networks)}
 
     def read(self) -> list[dict[str, Any]]:
         """Return the rows that are there, if they are of the same options and weights."""

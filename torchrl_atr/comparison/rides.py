@@ -10,14 +10,17 @@ import numpy as np
 from tensordict.nn import TensorDictModuleBase
 
 from torchrl_atr.comparison.options import CompareOptions
+from torchrl_atr.comparison.statistics import Array, interval
 from torchrl_atr.evaluation import EnduranceResult, endurance_metrics, evaluate_endurance
 from torchrl_atr.evaluation.endurance import OVERSPEED
+from torchrl_atr.evaluation.endurance_metrics import settled_sums
+from torchrl_atr.evaluation.metrics import without_nan
 from torchrl_atr.evaluation.ride import MakeEnv
 from torchrl_atr.training import TrainConfig
 
 _OTHER_ROBOTS = 1_000_000
 """Distance of the seeds of rides from that of the recording: the intrinsic parameters are others."""
-_RIDE = ("n", "seconds", "falls", "survival", "survival_interval", "falls_per_minute")
+_RIDE = ("n", "seconds", "falls", "survival", "falls_per_minute")
 _RIDE_ERRORS = ("settled_speed_error", "settled_yaw_error")
 _ALONG_ROBOTS = {"commands": 1, "up_steps": 1, "settled_steps": 1, "settled_error": 1, "estimate_error": 1}
 _ALONG_ROBOTS |= {"latent_error": 1, "intrinsics": 0} | dict.fromkeys(("fall_time", "fall_cause"), 0)
@@ -63,14 +66,35 @@ def ride(
 
 
 def ride_figures(rides: Sequence[EnduranceResult]) -> dict[str, Any]:
-    """Return survival and tracking errors over the rides of all trainings, with their 95 % intervals.
+    """Return survival and tracking errors over the rides of all trainings, with 95 % intervals.
+
+    Robots and trainings are resampled. The interval of survival is at least Wilson's, as nobody may have fallen.
 
     Args:
-        rides: of each training, whose robots differ.
+        rides: of each training, as many robots each.
     """
     metrics = endurance_metrics(joined(rides))
-    intervals = {f"{name}_interval": metrics[f"{name}_interval"] for name in _RIDE_ERRORS}
-    return {name: metrics[name] for name in (*_RIDE, *_RIDE_ERRORS)} | intervals
+    up = np.stack([each.survived for each in rides]).astype(np.float64)
+    sums, steps = (np.stack(each) for each in zip(*(_settled(each) for each in rides)))
+    share = interval(mean_error, up, np.ones_like(up), same_robots=False)
+    errors = interval(mean_error, sums, steps, same_robots=False)
+    low, high = metrics["survival_interval"]
+    ends = {"survival_interval": [np.fmin(low, share["low"]), np.fmax(high, share["high"])]}
+    ends |= {f"{name}_interval": [errors["low"][i], errors["high"][i]] for i, name in enumerate(_RIDE_ERRORS)}
+    plain = without_nan({name: [float(end) for end in each] for name, each in ends.items()})
+    return {**{name: metrics[name] for name in (*_RIDE, *_RIDE_ERRORS)}, **plain}
+
+
+def _settled(ride: EnduranceResult) -> tuple[Array, Array]:
+    """Return the sums of each robot's errors over settled steps, and the number of these, (n, 2) each."""
+    sums, counts = settled_sums(ride)
+    return sums.sum(0).T, counts.sum(0).T.astype(np.float64)
+
+
+def mean_error(sums: Array, steps: Array) -> Array:
+    """Return means from sums over steps and the numbers of these; NaN without a step."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return sums / steps
 
 
 def joined(rides: Sequence[EnduranceResult]) -> EnduranceResult:

@@ -65,7 +65,7 @@ def pooled_r_squared(squared: Array, steps: Array, total: Array, total_squared: 
         return np.where(varies.any(-1), 1.0 - squared.sum(-1) / of_all, np.nan)
 
 
-def interval(statistic: Callable[..., Array], *sums: Array, seed: int = 0) -> dict[str, Any]:
+def interval(statistic: Callable[..., Array], *sums: Array, same_robots: bool = True, seed: int = 0) -> dict[str, Any]:
     """Return a statistic of sums over all trainings and robots, and its 95 % interval.
 
     Both trainings and robots are resampled, each with all of its steps (percentile bootstrap). One training leaves the
@@ -74,6 +74,7 @@ def interval(statistic: Callable[..., Array], *sums: Array, seed: int = 0) -> di
     Args:
         statistic: a function of the summed arrays, with any leading dimensions.
         *sums: by training and robot, (S, n, ...), with as many dimensions each.
+        same_robots: whether all trainings have the same robots, which are then resampled alike.
         seed: of the resamples.
 
     Returns:
@@ -86,8 +87,11 @@ def interval(statistic: Callable[..., Array], *sums: Array, seed: int = 0) -> di
     """
     trainings, robots = sums[0].shape[:2]
     draw = np.random.default_rng(seed)
-    weights = [draw.multinomial(n, np.full(n, 1.0 / n), size=RESAMPLES) for n in (trainings, robots)]
-    weight = (weights[0][:, :, None] * weights[1][:, None, :]).reshape(RESAMPLES, -1).astype(np.float64)
+    of_trainings, of_robots = (
+        draw.multinomial(n, np.full(n, 1.0 / n), size=(RESAMPLES, times))
+        for n, times in ((trainings, 1), (robots, 1 if same_robots else trainings))
+    )
+    weight = (of_trainings.swapaxes(1, 2) * of_robots).reshape(RESAMPLES, -1).astype(np.float64)
     value = statistic(*[each.sum((0, 1)) for each in sums])
     drawn = statistic(*[np.tensordot(weight, each.reshape(-1, *each.shape[2:]), 1) for each in sums])
     if robots == 1:

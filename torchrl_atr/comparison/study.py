@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -32,7 +31,7 @@ from torchrl_atr.comparison.recording import Recording, Window, load_recording, 
 from torchrl_atr.comparison.rides import ride
 from torchrl_atr.comparison.scores import Scores, score
 from torchrl_atr.evaluation import EnduranceResult, load_endurance, save_endurance
-from torchrl_atr.modules import CommandClippedPolicy, ROANetworks
+from torchrl_atr.modules import CommandClippedPolicy, ROANetworks, fingerprint
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, TrainConfig, make_env
 from torchrl_atr.training.assembly import check_run_estimator
@@ -244,12 +243,3 @@ class Study:
         begin = time.monotonic()
         yield
         self._announce(f"{text} in {time.monotonic() - begin:.1f} s")
-
-
-def fingerprint(networks: ROANetworks) -> str:
-    """Return a hash of all weights, 16 hexadecimal digits; other state, an estimator's own, does not count."""
-    digest = hashlib.sha256()
-    for name, value in sorted(networks.state_dict().items()):
-        if isinstance(value, torch.Tensor):
-            digest.update(name.encode() + value.detach().cpu().numpy().tobytes())
-    return digest.hexdigest()[:16]

@@ -90,7 +90,7 @@ def survival_over_time(result: EnduranceResult) -> dict[str, list[float]]:
 
 
 def _settled_errors(result: EnduranceResult) -> dict[str, Any]:
-    sums, counts = _settled_sums(result)
+    sums, counts = settled_sums(result)
     sums, counts = sums.sum(0), counts.sum(0)
     figures: dict[str, Any] = {}
     low, high = bootstrap(sums, counts)
@@ -100,7 +100,7 @@ def _settled_errors(result: EnduranceResult) -> dict[str, Any]:
     return figures
 
 
-def _settled_sums(result: EnduranceResult) -> tuple[Array, Array]:
+def settled_sums(result: EnduranceResult) -> tuple[Array, Array]:
     """Return sums of the errors over settled steps and the number of these steps, (S, 2, n) each."""
     counts = np.repeat(result.settled_steps[:, None], 2, axis=1)
     errors = result.settled_error.swapaxes(1, 2)
@@ -113,7 +113,7 @@ def errors_over_time(result: EnduranceResult) -> dict[str, Any]:
     Returns:
         ``seconds`` (midpoints), and for ``speed`` and ``yaw`` the ``mean``, ``low`` and ``high``.
     """
-    sums, counts = _settled_sums(result)
+    sums, counts = settled_sums(result)
     some = counts.sum((1, 2)) > 0
     sums, counts = sums[some], counts[some]
     mean, (low, high) = pooled_mean(sums, counts), bootstrap(sums, counts)

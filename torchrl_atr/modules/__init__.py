@@ -34,6 +34,7 @@ from torchrl_atr.modules.estimators import (
     with_state,
 )
 from torchrl_atr.modules.exploration import Exploration, hadamard_leg_basis
+from torchrl_atr.modules.fingerprint import fingerprint
 from torchrl_atr.modules.keys import NetworkKeys
 from torchrl_atr.modules.network_factory import make_networks
 from torchrl_atr.modules.networks import ROANetworks
@@ -75,6 +76,7 @@ __all__ = [
     "available_estimators",
     "check_estimator",
     "equivariant_mlp",
+    "fingerprint",
     "get_estimator",
     "hadamard_leg_basis",
     "make_actor",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +13,6 @@ from torchrl_atr._cpus import available_cpus
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic, say
 from torchrl_atr._text import markdown_table
-from torchrl_atr.evaluation.access import command_limits
 from torchrl_atr.evaluation.intervals import bootstrap_difference
 from torchrl_atr.navigation import Map, PursuitConfig, TripsResult, load_map, plan_all, run_trips
 from torchrl_atr.navigation import Path as Route
@@ -23,14 +21,14 @@ from torchrl_atr.navigation.overview import plot_trips
 from torchrl_atr.navigation.places import draw_places
 from torchrl_atr.navigation.pursuit import RESPONSES
 from torchrl_atr.navigation.report import load_trips, save_trips, trip_metrics
-from torchrl_atr.navigation.trips import GOAL, footprint_of
-from torchrl_atr.reproduction.paper import SPEEDS
+from torchrl_atr.navigation.trips import GOAL
 from torchrl_atr.reproduction.policies import RiderPolicy
 from torchrl_atr.reproduction.report import Claim, Job, judge, with_interval, write_report
+from torchrl_atr.reproduction.trip_groups import Group, Method, group_of, method_of, speed_text
 
 COSTS = {"paper": "mean over joints", "joints": "sum over joints", "system": "joints and drive"}
 """Costs of transport, and what they add up."""
-_YAW_RATE, _MARGIN = 0.5, 0.8
+_YAW_RATE, _MARGIN = 0.25, 0.8
 """Yaw rate of a planned turn, rad/s, and distance kept to obstacles, m."""
 
 
@@ -44,22 +42,6 @@ class Sizes(NamedTuple):
 QUICK = Sizes(("open",), 2)
 
 
-class Method(NamedTuple):
-    """Policy, and what its trips depend on.
-
-    Attributes:
-        policy: that rides or walks.
-        robot: its name.
-        group: size class of the robot, which decides the speed.
-        footprint: length and width of what must not touch an obstacle, m.
-    """
-
-    policy: RiderPolicy
-    robot: str
-    group: str
-    footprint: tuple[float, float]
-
-
 def figure5(
     job: Job,
     folder: Path,
@@ -69,7 +51,8 @@ def figure5(
 ) -> Path:
     """Ride, and walk, along planned paths; write figures, ``figure5.json`` and the page.
 
-    Robots of a group follow the same paths at the same speed, planned for the largest footprint among them.
+    Robots of a group follow the same paths, planned for the largest footprint among them, at the same speed: the
+    paper's, or the largest that all of them take.
 
     Args:
         job: policies that ride, seed, and finished parts.
@@ -79,40 +62,39 @@ def figure5(
         starts: trips on each map.
 
     Raises:
-        InputError: without a policy, for a speed that a policy's env does not take, a wrong map, or a path that cannot
+        InputError: without a policy, for one that takes less than :data:`SLOWEST`, a wrong map, or a path that cannot
             be planned; before anything is simulated.
     """
     if not job.policies:
         raise InputError("Figure 5 needs policies that ride; give --policies RUN")
     sizes = QUICK if job.quick else Sizes()
     places = [load_map(source) for source in maps or sizes.maps]
-    methods = [_method(policy) for policy in (*job.policies, *walking)]
-    groups = sorted({method.group for method in methods})
-    footprints = {
-        group: tuple(max(m.footprint[i] for m in methods if m.group == group) for i in range(2)) for group in groups
-    }
+    methods = [method_of(policy) for policy in (*job.policies, *walking)]
+    groups = {group: group_of(group, methods) for group in sorted({method.group for method in methods})}
     routes = {
-        (where.name, group): _routes(job, where, group, footprints[group], starts or sizes.starts)
+        (where.name, name): _routes(job, where, group, starts or sizes.starts)
         for where in places
-        for group in groups
+        for name, group in groups.items()
     }
     results: dict[tuple[str, str], TripsResult] = {}
     images = []
     for where in places:
         for method in methods:
             name, paths = method.policy.name, routes[where.name, method.group]
-            result = results[where.name, name] = _trips(job, method, where, paths)
+            speed = groups[method.group].speed
+            result = results[where.name, name] = _trips(job, method, where, paths, speed)
             images.append(plot_trips(result, paths, where, folder / f"{where.name}-{name}.png"))
         images.append(_film(results, routes, methods, where, folder))
     rows = [{"map": where, "method": name, **trip_metrics(result)} for (where, name), result in results.items()]
     _plot(results, folder / "cost_of_transport.png")
     differences = list(_differences(results, methods))
+    speeds = " and ".join(speed_text(group) for group in groups.values())
     text = (
         "Paths by RRT* over Dubins curves and a spline; pure pursuit, of riders from where they will be in 2 s; "
-        "the robots' places known; 1.5 m/s in group 1 and 3 m/s in group 2, from rest, sensors of the training. A trip "
-        "ends at the goal, in a fall, in a collision, or after twice the path's time. Costs of transport are of trips "
-        "that reached the goal: power over m g v with the robot's mass, of torque and velocity of the same instant. A "
-        "method that falls spends nothing: read them beside the successes. The paper prints no numbers here."
+        f"the robots' places known; {speeds}, from rest, sensors of the training. A trip ends at the goal, in a fall, "
+        "in a collision, or after twice the path's time. Costs of transport are of trips that reached the goal: power "
+        "over m g v with the robot's mass, of torque and velocity of the same instant. A method that falls spends "
+        "nothing: read them beside the successes. The paper prints no numbers here."
     )
     sections = [text, _table(rows), "![cost of transport](cost_of_transport.png)"]
     if not walking:
@@ -132,30 +114,14 @@ def figure5(
     )
 
 
-def _method(policy: RiderPolicy) -> Method:
-    env = policy.envs()(num_envs=1, seed=0)
-    env.reset()
-    robot = env.base_env.scene.robot
-    method = Method(policy, robot.name, robot.group, footprint_of(env))
-    _, high = command_limits(env, (math.inf, math.inf))
-    limits = policy.networks.command_range
-    most = min(float(high[0]), math.inf if limits is None else limits.max_speed)
-    env.close(raise_if_closed=False)
-    if SPEEDS[robot.group] > most:
-        raise InputError(
-            f"{policy.name}, {policy.folder}: trips of {robot.group} are at {SPEEDS[robot.group]:g} m/s, and it takes "
-            f"commands up to {most:g} m/s; give a policy that takes them"
-        )
-    return method
-
-
-def _routes(job: Job, where: Map, group: str, footprint: Any, starts: int) -> list[Route]:
-    asked = {"map": where.free.wkt, "speed": SPEEDS[group], "footprint": footprint, "starts": starts, "seed": job.seed}
+def _routes(job: Job, where: Map, group: Group, starts: int) -> list[Route]:
+    speed, footprint = group.speed, group.footprint
+    asked = {"map": where.free.wkt, "speed": speed, "footprint": footprint, "starts": starts, "seed": job.seed}
 
     def make(part: Path) -> None:
         begins, goal = draw_places(where, starts, footprint, _MARGIN, seed=job.seed)
-        say(f"planning {starts} paths on {where.name!r} for {group}")
-        radius = SPEEDS[group] / _YAW_RATE
+        say(f"planning {starts} paths on {where.name!r} for {group.name}")
+        radius = speed / _YAW_RATE
         paths = plan_all(
             begins,
             available_cpus(),
@@ -170,14 +136,13 @@ def _routes(job: Job, where: Map, group: str, footprint: Any, starts: int) -> li
         with atomic(part / "paths.npz") as file:
             np.savez_compressed(file, **arrays)
 
-    with np.load(job.parts.get(f"paths-{where.name}-{group}", asked, make) / "paths.npz") as file:
+    with np.load(job.parts.get(f"paths-{where.name}-{group.name}", asked, make) / "paths.npz") as file:
         return [Route(file[f"points_{i}"], file[f"curvature_{i}"]) for i in range(starts)]
 
 
-def _trips(job: Job, method: Method, where: Map, paths: Sequence[Route]) -> TripsResult:
+def _trips(job: Job, method: Method, where: Map, paths: Sequence[Route], speed: float) -> TripsResult:
     policy, length = method.policy, [round(path.length, 6) for path in paths]
-    response = RESPONSES["riding"] if policy.rides else 0.0
-    pursuit = PursuitConfig(speed=SPEEDS[method.group], response=response)
+    pursuit = PursuitConfig(speed=speed, response=RESPONSES.get(policy.config.task.name, 0.0))
     asked = {"policy": policy.fingerprint, "map": where.free.wkt, "paths": length, "seed": job.seed}
     asked |= {"pursuit": asdict(pursuit)}
 

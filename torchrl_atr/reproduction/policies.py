@@ -11,10 +11,9 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.comparison.study import fingerprint
 from torchrl_atr.deploy.manifest import find_policy, policies
 from torchrl_atr.evaluation.ride import MakeEnv
-from torchrl_atr.modules import ROANetworks
+from torchrl_atr.modules import ROANetworks, fingerprint
 from torchrl_atr.reproduction.paper import PAIRS, did_you_mean
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, TrainConfig, load_run, make_env
 
@@ -24,12 +23,12 @@ class RiderPolicy:
     """Deployed policy of a run or bundle.
 
     Attributes:
-        name: ``ROBOT-TRANSPORTER``, or ``ROBOT-TASK`` of another task than riding.
+        name: ``ROBOT-TRANSPORTER``, or ``ROBOT-TASK`` of another task than riding; of files their names alone.
         folder: of the run or bundle.
         config: settings of the run.
         networks: in eval mode.
         provenance: of the run.
-        fingerprint: hash of the weights.
+        fingerprint: hash of the weights and the command range.
     """
 
     name: str
@@ -70,7 +69,7 @@ class RiderPolicy:
         }
 
 
-def load_policy(folder: str | Path, imports: Sequence[str] = ()) -> RiderPolicy:
+def load_rider(folder: str | Path, imports: Sequence[str] = ()) -> RiderPolicy:
     """Load the deployed policy of a run, a bundle or an installed policy.
 
     Raises:
@@ -80,7 +79,8 @@ def load_policy(folder: str | Path, imports: Sequence[str] = ()) -> RiderPolicy:
     config, env, networks, state = load_run(folder, imports=imports, num_envs=1)
     env.close()
     task = config.task
-    name = f"{task.robot}-{task.transporter if task.name == 'riding' else task.name}"
+    second = task.transporter if task.name == "riding" else task.name
+    name = "-".join(Path(part).stem for part in (task.robot, second))  # each may be a file
     return RiderPolicy(name, folder, config, networks, dict(state["provenance"]), fingerprint(networks))
 
 
@@ -98,7 +98,7 @@ def load_policies(given: Iterable[str], imports: Sequence[str] = (), option: str
     found: dict[str, RiderPolicy] = {}
     for text in given:
         pair, _, folder = text.rpartition("=")
-        policy = load_policy(folder, imports)
+        policy = load_rider(folder, imports)
         if pair and pair != policy.name:
             known = "" if pair in PAIRS else f" ({did_you_mean(pair)})"
             raise InputError(f"{option} {text}: the run is of {policy.name}, not of {pair}{known}; leave the name out")
@@ -120,6 +120,6 @@ def installed_policies(imports: Sequence[str] = ()) -> list[RiderPolicy]:
     """Load the installed policies, the first of each pair."""
     found: dict[str, RiderPolicy] = {}
     for name in policies():
-        policy = load_policy(name, imports)
+        policy = load_rider(name, imports)
         found.setdefault(policy.name, policy)
     return _in_order(found.values())

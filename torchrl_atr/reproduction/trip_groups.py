@@ -1,0 +1,87 @@
+"""What the trips of Figure 5 are of: policies that ride or walk, and the groups of robots that share paths."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from torchrl_atr._errors import InputError
+from torchrl_atr.evaluation.access import command_limits
+from torchrl_atr.navigation.trips import footprint_of
+from torchrl_atr.reproduction.paper import SPEEDS
+from torchrl_atr.reproduction.policies import RiderPolicy
+
+SLOWEST = 0.5
+"""Least speed of a trip, m/s."""
+
+
+class Group(NamedTuple):
+    """Size class of robots, which follow the same paths.
+
+    Attributes:
+        name: of the paper.
+        speed: of its trips, m/s.
+        footprint: the largest of its methods.
+        slowest: name of the policy that takes less than the paper's speed; empty if none does.
+    """
+
+    name: str
+    speed: float
+    footprint: tuple[float, float]
+    slowest: str = ""
+
+
+class Method(NamedTuple):
+    """Policy, and what its trips depend on.
+
+    Attributes:
+        policy: that rides or walks.
+        robot: its name.
+        group: size class of the robot, which decides the speed.
+        footprint: length and width of what must not touch an obstacle, m.
+        fastest: largest speed that it takes, m/s.
+    """
+
+    policy: RiderPolicy
+    robot: str
+    group: str
+    footprint: tuple[float, float]
+    fastest: float = math.inf
+
+
+def method_of(policy: RiderPolicy) -> Method:
+    """Return a policy with what its trips depend on.
+
+    Raises:
+        InputError: for one that takes less than :data:`SLOWEST`.
+    """
+    env = policy.envs()(num_envs=1, seed=0)
+    env.reset()
+    robot = env.base_env.scene.robot
+    method = Method(policy, robot.name, robot.group, footprint_of(env))
+    _, high = command_limits(env, (math.inf, math.inf))
+    limits = policy.networks.command_range
+    fastest = min(float(high[0]), math.inf if limits is None else limits.max_speed)
+    env.close(raise_if_closed=False)
+    if fastest < SLOWEST:
+        raise InputError(
+            f"{policy.name}, {policy.folder}: it takes commands up to {fastest:g} m/s, and trips are at "
+            f"{SLOWEST:g} m/s or more; give a policy that takes them, or leave it out"
+        )
+    return method._replace(fastest=fastest)
+
+
+def group_of(name: str, methods: Sequence[Method]) -> Group:
+    """Return a group of robots: at the paper's speed, or at the largest that all of its methods take."""
+    own = [method for method in methods if method.group == name]
+    slowest = min(own, key=lambda method: method.fastest)
+    speed = min(SPEEDS[name], slowest.fastest)
+    length, width = (max(method.footprint[i] for method in own) for i in range(2))
+    return Group(name, speed, (length, width), slowest.policy.name if speed < SPEEDS[name] else "")
+
+
+def speed_text(group: Group) -> str:
+    """Return the speed of a group's trips as text, and why it is not the paper's."""
+    slower = f" (the paper's {SPEEDS[group.name]:g} are more than {group.slowest} takes)" if group.slowest else ""
+    return f"{group.speed:g} m/s in {group.name}{slower}"
