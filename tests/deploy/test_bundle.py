@@ -157,10 +157,9 @@ def test_reports_of_another_training_stay_behind(tmp_path):
     for protocol, frames in {"endurance": 2, "tracking": 1}.items():
         (run / protocol).mkdir(parents=True)
         (run / protocol / "metrics.json").write_text(json.dumps({"run": {"frames": frames}}))
-    (run / "run.json").write_text(json.dumps({"frames": 2}))
     (run / "progress.csv").write_text("frames\n" + "\n".join(str(row) for row in range(1200)))
     folder.mkdir()
-    copy_reports(run, folder)
+    copy_reports(run, folder, {"frames": 2})
     assert sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*.*")) == [
         "endurance/metrics.json",
         "progress.csv",
@@ -297,14 +296,13 @@ def test_the_card_has_the_sweeps_that_were_measured(bundle, tmp_path):
     (tmp_path / "robustness" / "metrics.json").write_text(json.dumps(report))
     text = card(tmp_path, read_manifest(bundle))
     assert "| payload | - | - | 25% [10%, 50%] at 9 kg | 9 kg |" in text
-    (tmp_path / "run.json").write_text('{"seed": 2}')
+    check_scorecard(tmp_path, {"seed": 1})
     with pytest.raises(torchrl_atr._errors.UserError, match=r"robustness/metrics\.json is of another training"):
-        check_scorecard(tmp_path)
+        check_scorecard(tmp_path, {"frames": 5})
 
 
 def test_a_scorecard_of_another_training_is_refused(tiny_run, tmp_path):
     run = tiny_run()
     (run / "scorecard.json").write_text((RUN / "scorecard.json").read_text())
-    (run / "run.json").write_text("{}")
     with pytest.raises(torchrl_atr._errors.UserError, match=r"scorecard\.json is of another training"):
         export_run(run, tmp_path / "out")

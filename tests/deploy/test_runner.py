@@ -90,7 +90,9 @@ def test_a_strict_runner_refuses_it_and_keeps_its_state(bundle, q0):
     for runner in (strict, other):
         step(runner, q0)
     with pytest.raises(InputError, match=r"beyond the range of 'a1-single_board' .*ask for no more than that"):
-        step(strict, q0, command=(0.0, -3.0))
+        step(strict, q0, command=(0.0, -3.0), time=0.02)
+    step(strict, q0, time=0.02)  # asked for again, with the same time
+    step(other, q0)
     np.testing.assert_array_equal(step(strict, q0).targets, step(other, q0).targets)
 
 

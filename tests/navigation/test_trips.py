@@ -15,9 +15,10 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs import make_env, make_riding_env
 from torchrl_atr.envs.tasks import walking
 from torchrl_atr.evaluation.energy import robot_mass
+from torchrl_atr.modules import CommandRange
 from torchrl_atr.navigation import Map, Path, PursuitConfig, load_map, measure_power, run_trips
 from torchrl_atr.navigation.report import trip_metrics, write_trips
-from torchrl_atr.navigation.trips import footprint_of, poses_of
+from torchrl_atr.navigation.trips import check_commands, footprint_of, poses_of
 
 FIELD = Map("field", shapely.box(-10, -10, 10, 10))
 MAKE = partial(make_riding_env, "a1", "two_board", num_threads=1, pushes=False, randomization="off")
@@ -56,6 +57,13 @@ def test_a_trip_ends_at_the_goal_or_at_an_obstacle():
 def test_a_speed_that_the_env_does_not_take_is_refused_before_the_simulation():
     with pytest.raises(InputError, match="speed=50 is beyond the env's largest command, 15"):
         trips([NEAR], speed=50.0)
+
+
+def test_a_command_that_the_policy_would_clip_is_refused():
+    env, limits = MAKE(num_envs=1, seed=0), CommandRange(max_speed=1.0, max_yaw_rate=0.5)
+    check_commands(env, PursuitConfig(speed=1.0, max_yaw_rate=0.5), limits)
+    with pytest.raises(InputError, match=r"max_yaw_rate=0\.6 is beyond the policy's largest command, 0\.5"):
+        check_commands(env, PursuitConfig(speed=1.0, max_yaw_rate=0.6), limits)
 
 
 def test_the_drive_pays_for_resistance_at_a_steady_speed():

@@ -42,6 +42,10 @@ def test_an_estimator_that_reads_more_than_the_history_is_not_history_only(job, 
         ("figure6 --compatibility", "--compatibility: only of figure4"),
         ("figure5 --max-speed 2", "--max-speed: only of figure4 and table5 and figure7; leave it out"),
         ("figure7 --policies RUN", "--policies: figure7 is not of given policies"),
+        ("all --policies RUN --variants fulll", "unknown variant 'fulll'; did you mean 'full'"),
+        ("all --policies RUN --maps nowhere", "map 'nowhere'"),
+        ("all --policies RUN --walking nowhere", "there is no checkpoint at nowhere"),
+        ("all --policies RUN --commands nowhere.csv", "nowhere.csv"),
     ],
 )
 def test_bad_input_is_one_message(untrained_run, tmp_path, capsys, monkeypatch, words, message):

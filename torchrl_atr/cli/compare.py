@@ -61,8 +61,10 @@ def compare(arguments: argparse.Namespace) -> None:
     estimators = arguments.estimators or available_estimators()
     with folder_for(arguments.output) as output, TorchThreads() as threads:
         study = Study(config, env, networks, output, options, announce=say, tick=threads.update)
-        figures = {}
-        for sensors in dict.fromkeys(arguments.sensors or [config.task.sensors]):
+        figures, several = {}, list(dict.fromkeys(arguments.sensors or [config.task.sensors]))
+        for sensors in several:
+            study.check_sensors(sensors)
+        for sensors in several:
             recording, outcomes = study.run(estimators, sensors, arguments.history_lengths or ())
             figures[sensors] = summarize(networks, recording, outcomes)
         metrics = {
@@ -73,7 +75,7 @@ def compare(arguments: argparse.Namespace) -> None:
             "sensors": figures,
         }
         write_comparison(metrics, output)
-    env.close()
+    study.close()
     say("\n".join([*_lines(figures), f"report in {output}"]))
 
 

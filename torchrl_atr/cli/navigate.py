@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import math
 from functools import partial
 from typing import Any
 
@@ -34,8 +35,8 @@ def add_navigate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--speed", type=number_in(float, 0.1, 100), default=1.5, help="m/s; default: 1.5")
     text = "rad/s of a turn; the paths' turning radius is speed over this; default: 0.5"
     parser.add_argument("--yaw-rate", type=number_in(float, 0.01, 100), default=0.5, help=text)
-    text = "rad/s, the largest command, which a board follows only in part; default: 1"
-    parser.add_argument("--max-yaw-rate", type=number_in(float, 0.01, 100), default=1.0, help=text)
+    text = "rad/s, the largest command, which a board follows only in part; default: 1, or the policy's largest if less"
+    parser.add_argument("--max-yaw-rate", type=number_in(float, 0.01, 100), help=text)
     parser.add_argument("--margin", type=number_in(float, 0, 100), default=0.8, help="to obstacles, m; default: 0.8")
     text = "seconds that a commanded yaw rate takes to come; default: 2 for riding, 0 for other tasks"
     parser.add_argument("--response", type=number_in(float, 0, 100), help=text)
@@ -53,13 +54,18 @@ def navigate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.navigation.places import draw_places
     from torchrl_atr.navigation.pursuit import RESPONSES
     from torchrl_atr.navigation.report import trip_metrics, write_trips
-    from torchrl_atr.navigation.trips import footprint_of
+    from torchrl_atr.navigation.trips import check_commands, footprint_of
     from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
 
     where = load_map(arguments.map, arguments.resolution)
     output = arguments.output or report_home(arguments.run) / "navigation" / where.name
-    config, env, networks, state = load_run(arguments.run, None, (), num_envs=1)
-    footprint = footprint_of(env)
+    chosen = {**DEPLOYMENT_OVERRIDES, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
+    config, env, networks, state = load_run(arguments.run, None, (), num_envs=1, **chosen)
+    limits, footprint = networks.command_range, footprint_of(env)
+    response = RESPONSES.get(config.task.name, 0.0) if arguments.response is None else arguments.response
+    most = arguments.max_yaw_rate or min(1.0, math.inf if limits is None else limits.max_yaw_rate)
+    pursuit = PursuitConfig(arguments.speed, most, response=response)
+    check_commands(env, pursuit, limits)  # before paths are planned
     env.close()
     radius = arguments.speed / arguments.yaw_rate
     starts, goal = draw_places(where, arguments.starts, footprint, arguments.margin, arguments.goal, arguments.seed)
@@ -67,9 +73,6 @@ def navigate(arguments: argparse.Namespace) -> None:
         say(f"planning {len(starts)} paths on {where.name!r} to ({goal[0]:.1f}, {goal[1]:.1f})")
         asked = {"goal": goal, "turning_radius": radius, "footprint": footprint, "margin": arguments.margin}
         paths = plan_all(starts, available_cpus(), arguments.seed + 1, where=where, **asked)
-        response = RESPONSES.get(config.task.name, 0.0) if arguments.response is None else arguments.response
-        pursuit = PursuitConfig(arguments.speed, arguments.max_yaw_rate, response=response)
-        chosen = {**DEPLOYMENT_OVERRIDES, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
         with step_progress("riding") as progress:
             make = partial(make_env, config, **chosen)
             result = run_trips(

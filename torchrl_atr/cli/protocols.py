@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from torchrl_atr.cli.printing import endurance_lines, estimator_lines, headlines
-from torchrl_atr.cli.sweeps import SHORT_RIDE, compatibility, overspeed_of, robustness
+from torchrl_atr.cli.sweeps import SHORT_RIDE, compatibility, robustness
 
 if TYPE_CHECKING:
     from torchrl_atr.envs.transforms import CommandGrid
@@ -99,6 +99,7 @@ def endurance(
 ) -> Measured:
     """Measure how long robots stay up under changing commands and pushes, and how well they track meanwhile."""
     from torchrl_atr.evaluation import endurance_metrics, evaluate_endurance, write_endurance
+    from torchrl_atr.evaluation.endurance import overspeed_of
 
     result = evaluate_endurance(
         networks.deployed_policy(arguments.act_source),
@@ -109,7 +110,7 @@ def endurance(
         max_speed=arguments.max_speed,
         max_yaw_rate=arguments.max_yaw_rate,
         seed=arguments.seed,
-        overspeed=overspeed_of(config),
+        overspeed=overspeed_of(config.env.overspeed_margin),
         encoder_module=networks.encoder_module,
         progress=progress,
     )

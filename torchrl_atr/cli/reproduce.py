@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,43 +24,56 @@ ALL, SUMMARY = "all", "summary"
 _SPACE = ("max_speed", "max_yaw_rate")
 
 
-class Figure(NamedTuple):
-    """Figure or table: the function that makes it, its own options, and whether it is of given policies."""
+Make = Callable[["Job", Path], Path]
 
-    make: Callable[..., Path]
+
+class Figure(NamedTuple):
+    """Figure or table.
+
+    Attributes:
+        prepare: checks its own options, given the modules to import, and returns the function that makes it.
+        options: of its own.
+        needs_policies: whether it is of given policies.
+    """
+
+    prepare: Callable[..., Make]
     options: tuple[str, ...] = ()
     needs_policies: bool = True
 
 
-def _grid(job: Job, options: dict[str, Any]) -> Grid:
-    """Return the grid of commands that is asked for, and take its options out of ``options``."""
+def _grid(job: Job, options: Mapping[str, Any]) -> Grid:
+    """Return the grid of commands that is asked for."""
     from torchrl_atr.reproduction.tracking import grid_of
 
-    return grid_of(job, *(options.pop(name, None) for name in _SPACE))
+    return grid_of(job, *(options.get(name) for name in _SPACE))
 
 
-def _figure4(job: Job, folder: Path, **options: Any) -> Path:
+def _figure4(imports: Sequence[str], compatibility: bool = False, **space: Any) -> Make:
     from torchrl_atr.reproduction.figure4 import figure4
 
-    return figure4(job, folder, grid=_grid(job, options), **options)
+    return lambda job, folder: figure4(job, folder, compatibility=compatibility, grid=_grid(job, space))
 
 
-def _table5(job: Job, folder: Path, history_only: Sequence[str] = (), **options: Any) -> Path:
+def _table5(imports: Sequence[str], history_only: Sequence[str] = (), **space: Any) -> Make:
     from torchrl_atr.reproduction.policies import load_policies
     from torchrl_atr.reproduction.table5 import table5
 
-    policies = load_policies(history_only, job.imports, "--history-only")
-    return table5(job, folder, policies, _grid(job, options))
+    policies = load_policies(history_only, imports, "--history-only")
+    return lambda job, folder: table5(job, folder, policies, _grid(job, space))
 
 
-def _figure6(job: Job, folder: Path, **options: Any) -> Path:
+def _figure6(imports: Sequence[str], **options: Any) -> Make:
+    from torchrl_atr.evaluation.command_file import read_commands
     from torchrl_atr.reproduction.figure6 import figure6
 
-    return figure6(job, folder, **options)
+    if "commands" in options:
+        read_commands(options["commands"])
+    return partial(figure6, **options)
 
 
-def _figure5(job: Job, folder: Path, walking: Sequence[str] = (), **options: Any) -> Path:
+def _figure5(imports: Sequence[str], walking: Sequence[str] = (), **options: Any) -> Make:
     try:
+        from torchrl_atr.navigation import load_map
         from torchrl_atr.reproduction.figure5 import figure5
     except ModuleNotFoundError as error:
         if error.name not in ("ompl", "shapely"):
@@ -67,15 +81,19 @@ def _figure5(job: Job, folder: Path, walking: Sequence[str] = (), **options: Any
         raise MissingPackageError(error.name, "navigation") from None
     from torchrl_atr.reproduction.policies import load_policies
 
-    return figure5(job, folder, load_policies(walking, job.imports, "--walking"), **options)
+    for source in options.get("maps", ()):
+        load_map(source)
+    return partial(figure5, walking=load_policies(walking, imports, "--walking"), **options)
 
 
-def _figure7(job: Job, folder: Path, config: Path | None = None, **options: Any) -> Path:
-    from torchrl_atr.reproduction.figure7 import figure7
+def _figure7(imports: Sequence[str], config: Path | None = None, **options: Any) -> Make:
+    from torchrl_atr.reproduction.figure7 import chosen_variants, figure7
     from torchrl_atr.training import read_config
 
+    chosen_variants(options.get("variants"))
     settings = None if config is None else read_config(config)
-    return figure7(job, folder, settings=settings, grid=_grid(job, options), **options)
+    space = {name: options.pop(name, None) for name in _SPACE}
+    return lambda job, folder: figure7(job, folder, settings=settings, grid=_grid(job, space), **options)
 
 
 FIGURES = {
@@ -133,17 +151,23 @@ def reproduce(arguments: argparse.Namespace) -> None:
     _check_options(arguments, chosen)
     output = arguments.output or (ROOT if several else ROOT / arguments.name)
     shared = output if several or arguments.output is not None else ROOT
+    imports = tuple(arguments.imports or ())
+    makers = {name: FIGURES[name].prepare(imports, **_options(arguments, name)) for name in chosen}
     policies = _policies(arguments, chosen)
     command = shlex.join(_words(arguments))
-    for name in chosen:
-        figure, folder = FIGURES[name], output / name if several else output
-        parts, imports = Parts(shared / "parts"), tuple(arguments.imports or ())
-        job = Job(policies, parts, command, arguments.seed, arguments.quick, imports, step_progress)
-        options = {own: getattr(arguments, own) for own in figure.options if getattr(arguments, own) is not None}
+    for name, make in makers.items():
+        folder = output / name if several else output
+        job = Job(policies, Parts(shared / "parts"), command, arguments.seed, arguments.quick, imports, step_progress)
         with folder_for(folder):
-            say(f"wrote {figure.make(job, folder, **options)}")
+            say(f"wrote {make(job, folder)}")
     if several:
         say(f"wrote {summary(output)}")
+
+
+def _options(arguments: argparse.Namespace, name: str) -> dict[str, Any]:
+    """Return the options of a figure's own that are given."""
+    own = {option: getattr(arguments, option) for option in FIGURES[name].options}
+    return {option: value for option, value in own.items() if value is not None}
 
 
 def _policies(arguments: argparse.Namespace, chosen: Sequence[str]) -> list[RiderPolicy]:
@@ -177,5 +201,8 @@ def _words(arguments: argparse.Namespace) -> Iterator[str]:
     for name, value in vars(arguments).items():
         if name in ("command", "parser", "name", "output") or value in (None, False, [], 0):
             continue
-        yield "--import" if name == "imports" else f"--{name.replace('_', '-')}"
+        if name == "imports":
+            yield from (word for module in value for word in ("--import", module))
+            continue
+        yield f"--{name.replace('_', '-')}"
         yield from [] if value is True else map(str, value if isinstance(value, list) else [value])

@@ -32,14 +32,6 @@ SHORT_RIDE: dict[str, Any] = {
 """Options of a ride of which there are many, with their defaults."""
 
 
-def overspeed_of(config: TrainConfig) -> tuple[float, float]:
-    """Return the margin beyond the largest command above which a ride counts as a fall: the training's, if any."""
-    from torchrl_atr.evaluation.endurance import OVERSPEED
-
-    margin = config.env.overspeed_margin
-    return (margin[0], margin[1]) if margin else OVERSPEED
-
-
 def robustness(
     arguments: argparse.Namespace,
     config: TrainConfig,
@@ -49,6 +41,7 @@ def robustness(
 ) -> Measured:
     """Measure where a policy breaks: one parameter at a time, and all together, from training to beyond test range."""
     from torchrl_atr.cli.protocols import Measured
+    from torchrl_atr.evaluation.endurance import overspeed_of
     from torchrl_atr.evaluation.robustness import evaluate_robustness
 
     rows = _Unfinished(arguments, networks)
@@ -59,7 +52,7 @@ def robustness(
         finished=rows.read(),
         save=rows.write,
         progress=progress,
-        overspeed=overspeed_of(config),
+        overspeed=overspeed_of(config.env.overspeed_margin),
         **{name: getattr(arguments, name) for name in _RIDE},
     )
 
@@ -83,13 +76,14 @@ def compatibility(
     """Measure a policy on other robots and transporters, those of its own size class unless others are given."""
     from torchrl_atr.cli.protocols import Measured
     from torchrl_atr.evaluation.compatibility import evaluate_compatibility
+    from torchrl_atr.evaluation.endurance import overspeed_of
 
     metrics = evaluate_compatibility(
         networks.deployed_policy(arguments.act_source),
         partial(make_env, pushes=arguments.pushes),
         arguments.on,
         progress=progress,
-        overspeed=overspeed_of(config),
+        overspeed=overspeed_of(config.env.overspeed_margin),
         **{name: getattr(arguments, name) for name in _RIDE},
     )
 

@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl_atr.comparison.options import CompareOptions
 from torchrl_atr.comparison.statistics import Array, interval
 from torchrl_atr.evaluation import EnduranceResult, endurance_metrics, evaluate_endurance
-from torchrl_atr.evaluation.endurance import OVERSPEED
+from torchrl_atr.evaluation.endurance import overspeed_of
 from torchrl_atr.evaluation.endurance_metrics import settled_sums
 from torchrl_atr.evaluation.metrics import without_nan
 from torchrl_atr.evaluation.ride import MakeEnv
@@ -48,7 +48,6 @@ def ride(
         encoder_module: writes the true latent.
         tick: called after every step.
     """
-    margin = config.env.overspeed_margin
     return evaluate_endurance(
         policy,
         make_env,
@@ -59,7 +58,7 @@ def ride(
         options.max_speed,
         options.max_yaw_rate,
         seed + _OTHER_ROBOTS,
-        overspeed=(margin[0], margin[1]) if margin else OVERSPEED,
+        overspeed=overspeed_of(config.env.overspeed_margin),
         encoder_module=encoder_module,
         progress=lambda done, total: tick(),
     )

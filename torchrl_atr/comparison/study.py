@@ -142,6 +142,15 @@ class Study:
             outcomes[name] = self._estimator(part, name, config, recording, sensors)
         return recording, outcomes
 
+    def check_sensors(self, sensors: str) -> None:
+        """Check that there is an env with a set of sensors; what its absence raises names those that there are."""
+        self._make_env(sensors, self.config)(num_envs=1, seed=0).close()
+
+    def close(self) -> None:
+        """Close the envs, the given one included."""
+        for env in self._envs.values():
+            env.close(raise_if_closed=False)
+
     def _further(self, lengths: Sequence[int]) -> list[int]:
         """Return the lengths that are not the run's own."""
         further = [length for length in dict.fromkeys(lengths) if length != self.config.env.history_length]

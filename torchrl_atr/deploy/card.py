@@ -11,7 +11,6 @@ from torchrl_atr._errors import UserError
 from torchrl_atr.evaluation.compatibility import compatibility_table
 from torchrl_atr.evaluation.robustness import robustness_table
 from torchrl_atr.training.provenance import cores
-from torchrl_atr.training.run_files import ORIGIN
 
 _SCORECARD = "scorecard.json"
 _SWEEPS: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], list[str]]]] = {
@@ -21,19 +20,23 @@ _SWEEPS: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], list[str]]]] = {
 """Title and table of further reports, by the protocol of ``evaluate`` and the folder in the run."""
 
 
-def check_scorecard(run: Path) -> None:
+def check_scorecard(run: Path, trained: Mapping[str, Any]) -> None:
     """Check that a run's scorecard and sweeps, where it has any, are of this training.
+
+    Args:
+        run: its folder.
+        trained: provenance of the checkpoint that is exported.
 
     Raises:
         UserError: if one is of another training.
     """
-    trained = read_report(run / ORIGIN)
     again = {f"{name}/metrics.json": f"`torchrl-atr evaluate RUN --protocol {name}`" for name in _SWEEPS}
     for file, command in {_SCORECARD: "`python -m benchmarks.scorecard RUN` from a clone", **again}.items():
         report = read_report(run / file)
-        if report is not None and trained is not None and report.get("run") != trained:
+        if report is not None and report.get("run") != trained:
             raise UserError(
-                f"{run / file} is of another training than {run / ORIGIN}; measure it anew with {command}, or remove it"
+                f"{run / file} is of another training than the checkpoint of {trained['frames']:,} robot steps; "
+                f"measure it anew with {command}, or remove it"
             )
 
 

@@ -63,7 +63,6 @@ def export_run(
         raise UserError(f"{run} is a bundle already; copy its folder, or give the run that it was exported from")
     if output.exists() and not is_bundle(output) and (output.is_file() or any(output.iterdir())):
         raise UserError(f"{output} holds something else; give the path of a new folder")
-    check_scorecard(run)
     staged = output.with_name(f".{output.name}.{os.getpid()}.part")
     try:
         staged.mkdir(parents=True)
@@ -79,6 +78,7 @@ def export_run(
 def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoint: str | None) -> Parity:
     config, env, networks, state = load_run(run, checkpoint, imports, num_envs=_BATCH)
     with closing(env):
+        check_scorecard(run, state["provenance"])
         networks.deployed_policy()  # a teacher has none
         base = env.base_env
         grid, recorded = config.grid, networks.command_range
@@ -93,7 +93,7 @@ def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoin
     write_weights(folder, state)
     if (run / MODEL).is_dir():
         shutil.copytree(run / MODEL, folder / MODEL)
-    copy_reports(run, folder)
+    copy_reports(run, folder, state["provenance"])
     _seal(folder, manifest)  # the policy is loaded from the bundle itself: its weights are compared, too
     episode: dict[str, Any] = record(load_policy(folder, imports))
     np.savez_compressed(folder / EPISODE, **episode)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from torchrl_atr.deploy.card import read_report
 from torchrl_atr.evaluation.report import load_tracking, save_tracking
 from torchrl_atr.evaluation.set_figures import CURVES
-from torchrl_atr.training.run_files import LOG, ORIGIN, copy_log
+from torchrl_atr.training.run_files import LOG, copy_log
 
 PROTOCOLS = ("endurance", "tracking")
 """Protocols whose evaluations are copied: folders of the run."""
@@ -17,18 +19,22 @@ _ROWS = 200
 _TRIALS = "tracking.npz"
 
 
-def copy_reports(run: Path, folder: Path) -> None:
+def copy_reports(run: Path, folder: Path, trained: Mapping[str, Any]) -> None:
     """Copy a run's log and what it was measured by, where there is any; evaluations of another training are left out.
+
+    Args:
+        run: its folder.
+        folder: of the bundle.
+        trained: provenance of the checkpoint that is exported.
 
     Raises:
         OSError: if a file cannot be read or written.
     """
     if (run / LOG).is_file():
         copy_log(run, folder, _ROWS, ("frames", *CURVES))
-    trained = read_report(run / ORIGIN)
     for protocol in PROTOCOLS:
         report = read_report(run / protocol / "metrics.json")
-        if trained is None or report is None or report.get("run") != trained:
+        if report is None or report.get("run") != trained:
             continue
         (folder / protocol).mkdir()
         (folder / protocol / "metrics.json").write_text(json.dumps(report, separators=(",", ":")), encoding="utf-8")

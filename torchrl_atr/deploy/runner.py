@@ -150,13 +150,17 @@ class PolicyRunner:
                 manifest's, or, if ``strict``, a command beyond the range. The state is then as before the step.
         """
         readings = self._checked(imu, joint_positions, joint_velocities, command)
-        if time is not None:
-            self._clock.check(time)
         state, batch = self._policy.state, {name: value[None] for name, value in readings.items()}
         outputs = {name: value[0] for name, value in self._policy(np.array([self._start]), batch).items()}
-        asked, in_range = readings["command"], outputs["command_in_range"]
-        if not np.allclose(asked, in_range, atol=1e-6):
-            self._clipped(asked, in_range, state)
+        try:
+            self._check_range(readings["command"], outputs["command_in_range"])
+            # last: a step that is refused before may be asked for again, with the same readings and time
+            self._units.check(readings, readings["joint_position"], readings["joint_velocity"])
+            if time is not None:
+                self._clock.check(time)
+        except InputError:
+            self._policy.state = state
+            raise
         self._start, self.command = False, outputs["command_in_force"]
         self.estimates = self._named(outputs)
         return JointCommand(outputs["joint_targets"], self._gains)
@@ -179,17 +183,17 @@ class PolicyRunner:
         check_joints(self.manifest, readings["joint_position"], readings["joint_velocity"])
         if self._start:
             check_start(self.manifest, readings, readings["joint_position"])
-        self._units.check(readings, readings["joint_position"], readings["joint_velocity"])
         return readings
 
-    def _clipped(self, asked: Array, followed: Array, state: dict[str, Array]) -> None:
+    def _check_range(self, asked: Array, followed: Array) -> None:
+        if np.allclose(asked, followed, atol=1e-6):
+            return
         own = self.manifest["command"]
         text = (
             f"the command {_pair(asked)} is beyond the range of {self.manifest['name']!r} ({own['clipping']}); "
             f"{_pair(followed)} is followed instead: ask for no more than that"
         )
         if self.strict:
-            self._policy.state = state
             raise InputError(text)
         if not self._warned:
             self._warned = True

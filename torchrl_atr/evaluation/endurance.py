@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,15 @@ USUAL = (2.0, 1.0)
 """Largest |c_v| (m/s) and |c_ω| (rad/s) unless others are asked for."""
 OVERSPEED = (2.0, 2.0)
 """Speed and yaw rate beyond the largest command above which a ride counts as a fall, m/s and rad/s."""
+
+
+def overspeed_of(margin: Sequence[float]) -> tuple[float, float]:
+    """Return the margin beyond the largest command above which a ride counts as a fall: a training's, if it has one.
+
+    Args:
+        margin: ``env.overspeed_margin`` of a run, m/s and rad/s, or empty.
+    """
+    return (margin[0], margin[1]) if margin else OVERSPEED
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,11 @@ def plan_all(starts: Sequence[Place], workers: int, seed: int, **arguments: Any)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, mp_context=context, max_tasks_per_child=1) as pool:
         tasks = [pool.submit(plan, start=start, seed=seed + i, **arguments) for i, start in enumerate(starts)]
-        return [task.result() for task in tasks]
+        try:
+            return [task.result() for task in tasks]
+        except BaseException:  # the other paths are not needed
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def _check_place(where: Map, room: BaseGeometry, name: str, place: Place) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from torchrl_atr._files import atomic, write_json
 from torchrl_atr.evaluation.energy import Energy
-from torchrl_atr.evaluation.intervals import bootstrap, wilson
+from torchrl_atr.evaluation.intervals import mean_interval, wilson
 from torchrl_atr.navigation.film import film_best
 from torchrl_atr.navigation.map import Map
 from torchrl_atr.navigation.overview import COLOURS, plot_trips
@@ -53,11 +53,8 @@ def trip_metrics(result: TripsResult) -> dict[str, Any]:
 
 
 def _summary(values: Array) -> dict[str, Any]:
-    if not len(values):
-        return {"mean": None, "interval": None}
-    low, high = bootstrap(values, np.ones_like(values)) if len(values) > 1 else (np.nan, np.nan)
-    ends = [float(low), float(high)]
-    return {"mean": float(values.mean()), "interval": ends if np.isfinite(ends).all() else None}
+    mean, interval = mean_interval(values)
+    return {"mean": mean if len(values) else None, "interval": interval and list(interval)}
 
 
 def write_trips(

@@ -19,6 +19,7 @@ from torchrl_atr.envs.tasks.rotations import euler_from_matrix, matrix_from_quat
 from torchrl_atr.evaluation.access import base_env, command_limits, command_owner
 from torchrl_atr.evaluation.energy import Energy, cost_of_transport, measure_power, robot_mass
 from torchrl_atr.evaluation.ride import MakeEnv, RideStep, build_env, ride
+from torchrl_atr.modules import CommandRange
 from torchrl_atr.navigation.map import Map
 from torchrl_atr.navigation.paths import Path, rectangles
 from torchrl_atr.navigation.pursuit import PurePursuit, PursuitConfig
@@ -129,16 +130,35 @@ def run_trips(
     """
     config = config or PursuitConfig()
     env = build_env(make_env, len(paths), seed)
-    _, high = command_limits(env, (math.inf, math.inf))
-    for name, value, most in (("speed", config.speed, high[0]), ("max_yaw_rate", config.max_yaw_rate, high[1])):
-        if value > most:
-            raise InputError(f"{name}={value:g} is beyond the env's largest command, {most:g}; choose a smaller one")
+    check_commands(env, config)
     log = _TripLog(env, paths, where, config, progress)
     still = torch.zeros(1, len(paths), 2)
     ride(policy, env, still, log.limit, log, until_down=True)
     result = log.result()
     env.close(raise_if_closed=False)
     return result
+
+
+def check_commands(env: EnvBase, config: PursuitConfig, limits: CommandRange | None = None) -> None:
+    """Check that an env and a policy take the commands of a pursuit.
+
+    Args:
+        env: whose transform pins commands.
+        config: of the pursuit.
+        limits: to which the policy clips commands.
+
+    Raises:
+        InputError: for a speed or a yaw rate that is too large; names it and the largest.
+    """
+    _, high = command_limits(env, (math.inf, math.inf))
+    own = (math.inf, math.inf) if limits is None else (limits.max_speed, limits.max_yaw_rate)
+    values = {"speed": config.speed, "max_yaw_rate": config.max_yaw_rate}
+    for (name, value), env_most, policy_most in zip(values.items(), high, own):
+        most, whose = min((float(env_most), "env"), (policy_most, "policy"))
+        if value > most:
+            raise InputError(
+                f"{name}={value:g} is beyond the {whose}'s largest command, {most:g}; choose a smaller one"
+            )
 
 
 class _TripLog:

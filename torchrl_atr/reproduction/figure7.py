@@ -84,7 +84,7 @@ def figure7(
     """
     from torchrl_atr.reproduction.figures import plot_areas, plot_error_maps  # imports matplotlib
 
-    names = _chosen(variants)
+    names = chosen_variants(variants)
     sizes = QUICK if job.quick else Sizes()
     count = seeds or sizes.seeds
     configs = {
@@ -126,7 +126,12 @@ def figure7(
     )
 
 
-def _chosen(variants: Sequence[str] | None) -> list[str]:
+def chosen_variants(variants: Sequence[str] | None) -> list[str]:
+    """Return the names of variants in the order of :data:`VARIANTS`; of all without a choice.
+
+    Raises:
+        UnknownNameError: for an unknown one.
+    """
     for name in variants or ():
         if name not in VARIANTS:
             raise unknown("variant", name, VARIANTS)
