@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,8 +73,13 @@ def parse_overrides(texts: list[str]) -> dict[str, Any]:
     return parse_settings(dict(text.split("=", 1) for text in texts))
 
 
-def refuse_other_settings(config: TrainConfig, folder: Path) -> None:
+def refuse_other_settings(config: TrainConfig, folder: Path, free: Sequence[str] = ()) -> None:
     """Refuse to mix runs of different settings in one table.
+
+    Args:
+        config: that is asked for.
+        folder: of a run, or of nothing yet.
+        free: settings that may differ, or groups of them, as what a run computes with.
 
     Raises:
         ConfigError: if ``folder`` holds a run that was trained differently.
@@ -84,7 +89,9 @@ def refuse_other_settings(config: TrainConfig, folder: Path) -> None:
         return
     asked, found = flat(config.to_dict()), flat(make_config(read_config(path)).to_dict())
     other = ", ".join(
-        f"{key}={found.get(key)} instead of {value}" for key, value in asked.items() if found.get(key) != value
+        f"{key}={found.get(key)} instead of {value}"
+        for key, value in asked.items()
+        if found.get(key) != value and key not in free and key.partition(".")[0] not in free
     )
     if other:
         raise ConfigError(f"{folder} was trained with {other}; give another folder, or remove that one")

@@ -39,6 +39,8 @@ QUICK: dict[str, Any] = {
     "total_frames": 32,
 }
 """Settings of a training that shows that everything works."""
+FREE = ("compute", "max_minutes")
+"""Settings that are not of the recipe: a run that is there may have been trained on another number of cores."""
 FIGURES = (
     "n",
     "survival",
@@ -243,7 +245,7 @@ def _number(value: float | None) -> str:
 def _all(arguments: argparse.Namespace) -> None:
     pairs = [make_pair(name, arguments) for name in arguments.pairs]
     for pair in pairs:
-        results.refuse_other_settings(pair.config, pair.run)
+        results.refuse_other_settings(pair.config, pair.run, FREE)
     words = [f"--seed {arguments.seed}", *([] if arguments.quick else [f"--max-minutes {arguments.max_minutes:g}"])]
     command = " ".join(["python -m benchmarks.zoo", *words, *["--quick"] * arguments.quick])
     for pair in pairs:

@@ -132,9 +132,12 @@ def test_what_cannot_be_is_refused(asked, tmp_path, capsys):
         zoo.main(["--quick"])
     assert "give another folder with --policies" in capsys.readouterr().err
     (tmp_path / "runs" / "a1-two_board").mkdir(parents=True)
-    (tmp_path / "runs" / "a1-two_board" / "config.toml").write_text("max_minutes = 3.0\n")
+    (tmp_path / "runs" / "a1-two_board" / "config.toml").write_text("max_minutes = 3.0\n[ppo]\ngamma = 0.5\n")
     assert zoo.main([*asked, "--pairs", "a1:two_board"]) == 2
-    assert "trained with max_minutes=3.0 instead of 90.0" in capsys.readouterr().err
+    message = capsys.readouterr().err
+    assert "trained with" in message
+    assert "ppo.gamma=0.5 instead of 0.99" in message
+    assert "max_minutes" not in message
 
 
 @pytest.mark.parametrize("name", ["robustness", "bundle"])
