@@ -88,7 +88,11 @@ def test_the_card_has_the_scorecard(bundle):
 def test_its_weights_are_the_deployed_ones_of_the_run(bundle):
     saved, run = (load_checkpoint(folder)["learner"]["deployed"] for folder in (bundle, RUN))
     assert saved.keys() == run.keys()
-    assert all(torch.equal(saved[name], run[name]) for name in run)
+    critic = {name for name in run if name.startswith("critic.net.")}  # in half precision
+    assert critic
+    assert all(torch.equal(saved[name], run[name]) for name in run.keys() - critic)
+    for name in critic:
+        torch.testing.assert_close(saved[name], run[name], rtol=1e-3, atol=1e-6)
 
 
 def test_it_is_loaded_as_a_policy_with_its_env(bundle):

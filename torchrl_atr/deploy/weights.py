@@ -15,10 +15,14 @@ from torchrl_atr.deploy.manifest import WEIGHTS, BundleError, read_manifest
 
 _KEPT = ("config", "model", "parts", "frames", "provenance")
 _CURRICULUM = "curriculum.weights"
+_CRITIC = "critic.net."
+"""Weights in half precision: no policy reads them, and a run that begins here trains them on."""
 
 
 def write_weights(folder: Path, state: Mapping[str, Any]) -> None:
     """Write the deployed weights of a checkpoint, by their names in the networks' ``state_dict``, and its settings.
+
+    The critic's are rounded to half precision.
 
     Args:
         folder: of the bundle.
@@ -31,6 +35,7 @@ def write_weights(folder: Path, state: Mapping[str, Any]) -> None:
     if curriculum is not None:
         tensors[_CURRICULUM], rest["grid"] = curriculum["weights"], curriculum.get("grid")
     owned = {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}
+    owned |= {name: value.half() for name, value in owned.items() if name.startswith(_CRITIC)}
     data = _safetensors().save(owned, metadata={"state": json.dumps(rest)})
     (folder / WEIGHTS).write_bytes(data)  # save_file hides the file from other users
 
@@ -49,6 +54,7 @@ def read_weights(folder: Path) -> dict[str, Any]:
             rest = json.loads(file.metadata()["state"])
     except (KeyError, TypeError, ValueError) as error:
         raise BundleError(f"{folder / WEIGHTS} lacks the run's settings ({error}); export the run anew") from error
+    tensors |= {name: value.float() for name, value in tensors.items() if name.startswith(_CRITIC)}
     grid, optimizers = rest.pop("grid", None), rest.pop("optimizers")
     reached = tensors.pop(_CURRICULUM, None)
     moments = {name: {"state": {}, "param_groups": groups} for name, groups in optimizers.items()}
