@@ -13,7 +13,7 @@ from torchrl_atr import cli
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, prepare_output, say, write_json
 from torchrl_atr._interrupt import Interrupt, Stopped
-from torchrl_atr._nested import flat
+from torchrl_atr.config.nested import flat
 from torchrl_atr.training import ConfigError, TrainConfig, make_config, parse_settings, read_config
 from torchrl_atr.training.provenance import cores
 from torchrl_atr.training.run_files import CONFIG

@@ -12,7 +12,7 @@ from torch.utils.flop_counter import FlopCounterMode
 from benchmarks.stopwatch import Stopwatch
 from benchmarks.summary import TRAINED
 from benchmarks.timing import Contender, Key
-from torchrl_atr._nested import flat
+from torchrl_atr.config.nested import flat
 from torchrl_atr.training import TrainConfig, Trainer, load_checkpoint, make_config
 from torchrl_atr.training.restoring import checkpoint_config
 

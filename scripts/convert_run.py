@@ -19,12 +19,12 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # this clone's package, whatever is installed
 
-from torchrl_atr._config_files import to_toml
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
-from torchrl_atr._nested import merged
+from torchrl_atr.config import TrainConfig
+from torchrl_atr.config.files import to_toml
+from torchrl_atr.config.nested import merged
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, VERSION, CheckpointError, read_checkpoint
-from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.run_files import CONFIG
 
 State = dict[str, Any]

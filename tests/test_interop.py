@@ -53,6 +53,12 @@ def test_importing_the_package_is_light():
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
 
 
+def test_the_command_line_does_not_wait_for_torch():
+    code = "import sys, torchrl_atr.cli.commands; print(sorted({'torch', 'mujoco', 'matplotlib'} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
+    assert done.stdout.strip() == "[]"
+
+
 def test_the_training_path_imports_no_dm_control_nor_matplotlib():
     code = "import sys, torchrl_atr.training; print(sorted({'dm_control', 'matplotlib'} & set(sys.modules)))"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"

@@ -18,6 +18,7 @@ from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
 from torchrl.modules import TanhNormal
 
 from torchrl_atr._errors import InputError
+from torchrl_atr.config import ComputeConfig, ConfigError, EnvConfig, PPOConfig, TrainConfig
 from torchrl_atr.envs import RidingEnv, make_riding_env
 from torchrl_atr.envs.transforms import (
     CommandCurriculum,
@@ -30,9 +31,6 @@ from torchrl_atr.envs.transforms import (
 )
 from torchrl_atr.modules import make_networks
 from torchrl_atr.training import make_config
-from torchrl_atr.training.config import ConfigError, TrainConfig
-from torchrl_atr.training.env_settings import EnvConfig
-from torchrl_atr.training.learning_settings import ComputeConfig, PPOConfig
 
 TRAINING = {
     "stagger": 5,

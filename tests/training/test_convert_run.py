@@ -10,7 +10,7 @@ import torch
 
 from scripts import convert_run
 from tests.training.states import SMALL, differing
-from torchrl_atr._nested import flat
+from torchrl_atr.config.nested import flat
 from torchrl_atr.training import CheckpointError, Trainer, load_checkpoint, load_run, make_config
 from torchrl_atr.training.checkpoint import VERSION
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from torchrl_atr._nested import merged
+from torchrl_atr.config.nested import merged
 
 NAME = "checkpoint.pt"
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, folder_for, say, whole
-from torchrl_atr._nested import merged
 from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.bundles import export, verify
 from torchrl_atr.cli.chosen import checkpoint_file, other_model
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
 def train(words: Sequence[str]) -> int:
     """Run ``torchrl-atr train``; if a signal stops it, return 128 plus the signal's number, as shells expect."""
     from torchrl_atr.cli.train_options import DEFAULT_RUN, parse_train
+    from torchrl_atr.config.nested import merged
     from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
     from torchrl_atr.training.checkpoint import NAME
 
@@ -54,8 +54,8 @@ def train(words: Sequence[str]) -> int:
 
 def _config_from(run: Path, given: dict[str, Any]) -> tuple[TrainConfig, set[str]]:
     """Return another run's settings with the given ones in their place, and the names of the given task settings."""
+    from torchrl_atr.config.presets import STUDENTS
     from torchrl_atr.training import PRESETS, ConfigError, load_checkpoint, make_config
-    from torchrl_atr.training.presets import STUDENTS
     from torchrl_atr.training.restoring import saved_settings
 
     settings = saved_settings(load_checkpoint(run), run, given.get("imports", ()))

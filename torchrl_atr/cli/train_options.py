@@ -14,8 +14,8 @@ from typing import Annotated, Any
 
 import tyro
 
-from torchrl_atr._nested import suggestion
 from torchrl_atr._settings import ConfigError, Setting, settings
+from torchrl_atr.config.nested import suggestion
 from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.training import TrainConfig, parse_settings
 

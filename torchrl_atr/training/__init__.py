@@ -1,6 +1,16 @@
 """Training: configuration, trainer, learner, checkpoints and logs."""
 
 from torchrl_atr._threads import TorchThreads
+from torchrl_atr.config import (
+    PRESETS,
+    TASK_SETTINGS,
+    ConfigError,
+    TrainConfig,
+    additions,
+    make_config,
+    parse_settings,
+    read_config,
+)
 from torchrl_atr.training.assembly import (
     DEPLOYMENT_OVERRIDES,
     make_env,
@@ -11,12 +21,10 @@ from torchrl_atr.training.assembly import (
 )
 from torchrl_atr.training.callbacks import Callback, Phase
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
-from torchrl_atr.training.config import ConfigError, TrainConfig, make_config, parse_settings, read_config
 from torchrl_atr.training.guard import TrainingDiverged
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.loading import commanded_range, load_run
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory
-from torchrl_atr.training.presets import PRESETS, TASK_SETTINGS, additions
 from torchrl_atr.training.restoring import checkpoint_config
 from torchrl_atr.training.trainer import Trainer
 

@@ -18,6 +18,7 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl_atr import envs
 from torchrl_atr._compilation import compile_methods
 from torchrl_atr._registry import import_modules
+from torchrl_atr.config import ConfigError, ExplorationConfig, TrainConfig
 from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS
@@ -35,9 +36,7 @@ from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.modules.sizes import estimator_specs
 from torchrl_atr.objectives import DistillationLoss, ROAClipPPOLoss
-from torchrl_atr.training.config import ConfigError, TrainConfig
 from torchrl_atr.training.env_access import attribute
-from torchrl_atr.training.learning_settings import ExplorationConfig
 
 TIME_LIMIT_CHECK_INTERVAL = 10
 """Interval in control steps at which time limits are checked, a divisor of the default recipe's 1000."""

@@ -21,10 +21,10 @@ from torchrl.envs.utils import ExplorationType
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._errors import InputError, UserError, first_line
 from torchrl_atr._torchrl_private import carried_root
+from torchrl_atr.config import TrainConfig
 from torchrl_atr.envs import reconfigure
 from torchrl_atr.modules import DeviceBridge, with_state
 from torchrl_atr.modules.estimators import state_keys
-from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
 
 _PLAIN = {"auto_register_policy_transforms": False}

@@ -17,13 +17,13 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.objectives.value import GAE
 
 from torchrl_atr._compilation import CudaGraph, compile_methods
+from torchrl_atr.config import TrainConfig
 from torchrl_atr.modules import ROANetworks
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.objectives.schedules import kl_divergence
 from torchrl_atr.training.assembly import make_run_loss
 from torchrl_atr.training.callbacks import Callbacks, Phase
-from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.guard import StepGuard
 from torchrl_atr.training.optimizers import load_optimizers, make_optimizers, parameter_groups, take_moments
 from torchrl_atr.training.recording import Teacher, record_output

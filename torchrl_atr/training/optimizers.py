@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.config import TrainConfig
 from torchrl_atr.training.restoring import check_moments
 
 

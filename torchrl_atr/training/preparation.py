@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torchrl.envs import EnvBase
 
-from torchrl_atr.training.config import ConfigError, TrainConfig
+from torchrl_atr.config import ConfigError, TrainConfig
 from torchrl_atr.training.env_access import attribute
 from torchrl_atr.training.loggers import check_logger
 from torchrl_atr.training.parts import FACTORIES, Parts

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic, naming, say
 from torchrl_atr._text import number
-from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.config import TrainConfig
 from torchrl_atr.training.loggers import make_logger
 from torchrl_atr.training.run_files import LOG
 

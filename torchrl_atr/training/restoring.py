@@ -18,11 +18,11 @@ from torch import Tensor, nn
 
 from torchrl_atr._errors import InputError, UserError, first_line
 from torchrl_atr._registry import import_modules
+from torchrl_atr.config import ConfigError, TrainConfig, make_config
 from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.envs.models import Scene
 from torchrl_atr.envs.models.identity import PARTS, describe, differences, first_few
 from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
-from torchrl_atr.training.config import ConfigError, TrainConfig, make_config
 from torchrl_atr.training.run_files import located_settings
 
 _NEEDED = (

@@ -12,10 +12,10 @@ from typing import Any
 import pandas as pd
 
 from torchrl_atr._files import atomic, naming
+from torchrl_atr.config import TrainConfig
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS
-from torchrl_atr.training.config import TrainConfig
 
 MODEL = "model"
 """Folder of a run that holds its robot's and its transporter's files."""

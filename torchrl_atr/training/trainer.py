@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torchrl.envs import EnvBase
 
-from torchrl_atr._config_files import to_toml
 from torchrl_atr._files import atomic, say, sweep, write_json
 from torchrl_atr._interrupt import Interrupt
 from torchrl_atr._threads import TorchThreads
+from torchrl_atr.config import TrainConfig
+from torchrl_atr.config.files import to_toml
 from torchrl_atr.envs.models.identity import describe, digest
 from torchrl_atr.training import env_access
 from torchrl_atr.training.assembly import make_policy, make_reward_schedule
 from torchrl_atr.training.callbacks import Callback, Callbacks
 from torchrl_atr.training.checkpoint import NAME, load_rng_state, rng_state, save_checkpoint
 from torchrl_atr.training.collection import Collection, CollectionError
-from torchrl_atr.training.config import TrainConfig
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory, Parts

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from torchrl_atr._settings import Settings, setting
+from torchrl_atr.config.env_settings import TINY
 from torchrl_atr.modules import ActorInput, ActSourceName
-from torchrl_atr.training.env_settings import TINY
 
 
 @dataclass(frozen=True)

@@ -13,25 +13,25 @@ from typing import Any
 
 import torch
 
-from torchrl_atr._config_files import read_values
-from torchrl_atr._nested import build, from_text, merged
 from torchrl_atr._registry import import_modules
 from torchrl_atr._settings import ConfigError, Settings, setting
-from torchrl_atr.envs.models.files import COPIES
-from torchrl_atr.envs.models.spec_file import is_spec_file
-from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.envs.tasks import TASKS, Task, make_task
-from torchrl_atr.envs.tasks.overrides import override
-from torchrl_atr.envs.transforms import CommandGrid
-from torchrl_atr.training.env_settings import CurriculumConfig, EnvConfig, TaskConfig
-from torchrl_atr.training.estimator_settings import EstimatorConfig
-from torchrl_atr.training.learning_settings import (
+from torchrl_atr.config.env_settings import CurriculumConfig, EnvConfig, TaskConfig
+from torchrl_atr.config.estimator_settings import EstimatorConfig
+from torchrl_atr.config.files import read_values
+from torchrl_atr.config.learning_settings import (
     ComputeConfig,
     ExplorationConfig,
     LoggingConfig,
     PPOConfig,
     ROAConfig,
 )
+from torchrl_atr.config.nested import build, from_text, merged
+from torchrl_atr.envs.models.files import COPIES
+from torchrl_atr.envs.models.spec_file import is_spec_file
+from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.envs.tasks import TASKS, Task, make_task
+from torchrl_atr.envs.tasks.overrides import override
+from torchrl_atr.envs.transforms import CommandGrid
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def make_config(*sources: Mapping[str, Any]) -> TrainConfig:
         >>> config.env.num_envs, config.ppo.gamma, config.ppo.symmetric
         (8, 0.9, False)
     """
-    from torchrl_atr.training.presets import PRESETS, TASK_SETTINGS
+    from torchrl_atr.config.presets import PRESETS, TASK_SETTINGS
 
     values = merged(*sources)
     imports = values.get("imports", ())

@@ -7,7 +7,7 @@ from typing import Any
 
 from torchrl_atr._registry import Registry
 from torchrl_atr._settings import Setting, settings
-from torchrl_atr.training.config import TrainConfig
+from torchrl_atr.config.train_config import TrainConfig
 
 PRESETS: Registry[Mapping[str, Any]] = Registry("preset")
 """Settings that differ from the defaults, by preset; register your own.

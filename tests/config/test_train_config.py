@@ -7,13 +7,12 @@ import tomllib
 
 import pytest
 
-from torchrl_atr._config_files import to_toml
-from torchrl_atr._nested import to_text
 from torchrl_atr._settings import settings
 from torchrl_atr.cli.train_options import parse_train
+from torchrl_atr.config import EnvConfig, PPOConfig
+from torchrl_atr.config.files import to_toml
+from torchrl_atr.config.nested import to_text
 from torchrl_atr.training import ConfigError, TrainConfig, make_config, make_env, parse_settings, read_config
-from torchrl_atr.training.env_settings import EnvConfig
-from torchrl_atr.training.learning_settings import PPOConfig
 
 
 def test_texts_become_what_the_setting_is():
