@@ -76,6 +76,7 @@ class Learner:
             value_network=critic,
             average_gae=True,
             shifted=True,
+            shifted_budget=2,  # a row with a time limit within it keeps its last step, and the fall that may end it
             vectorized=False,  # over few steps a loop takes half as long
         )
         if config.compiles_networks:

@@ -28,7 +28,8 @@ def drive(
     rotation = matrix_from_euler(*torch.tensor([[roll], [0.0], [0.0]]))
     euler = torch.tensor([[roll, 0.0, 0.0]])
     state = SimpleNamespace(rotation=rotation, euler=euler, velocity=torch.tensor([[speed, 0.0, 0.0]]))
-    world = torch.tensor([[bias, speed * yaw_rate, 0.0]])
+    turned, dt = yaw_rate * CONTROL_DT, CONTROL_DT  # the difference of velocities over a step, in the frame after it
+    world = torch.tensor([[bias + speed * (1.0 - math.cos(turned)) / dt, speed * math.sin(turned) / dt, 0.0]])
     sensed = {
         "acceleration": (rotation * world.unsqueeze(-1)).sum(-2),
         "angular_velocity": (rotation * torch.tensor([[0.0, 0.0, yaw_rate]]).unsqueeze(-1)).sum(-2),
@@ -44,8 +45,8 @@ def drive(
 @pytest.mark.parametrize("method", ["integral", *FILTERS])
 @pytest.mark.parametrize("roll", [0.0, 0.2])
 def test_a_steady_turn_keeps_its_speed_with_exact_sensors(method, roll):
-    observed, _ = drive(method, 2.0, 0.5, 20.0, roll=roll)
-    assert observed[0, 0].item() == pytest.approx(2.0, abs=0.02)
+    observed, _ = drive(method, 5.0, 1.0, 30.0, roll=roll)
+    assert observed[0, 0].item() == pytest.approx(5.0, abs=2e-3)
 
 
 def test_a_bias_grows_without_bound_in_the_integral_and_to_a_bound_in_the_leaky_one():

@@ -92,9 +92,9 @@ def with_stance(robot: RobotSpec, wider: float, longer: float, lower: float) -> 
     if not any((wider, longer, lower)):
         return robot
     legs, unit = leg_kinematics(robot), robot.standing_height
-    start = torch.tensor(robot.q0)
-    offset = unit * torch.tensor([longer, wider, lower])
-    target = legs(start) + offset * torch.tensor(_OUTWARDS)
+    start = torch.tensor(robot.q0, dtype=torch.float32)
+    offset = unit * torch.tensor([longer, wider, lower], dtype=torch.float32)
+    target = legs(start) + offset * torch.tensor(_OUTWARDS, dtype=torch.float32)
     found = least_squares(
         lambda angles: (legs(torch.tensor(angles, dtype=torch.float32)) - target).flatten().numpy(), robot.q0
     )

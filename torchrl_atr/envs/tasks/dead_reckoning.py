@@ -100,8 +100,7 @@ def kalman_filter(c: StepContext, key: str = KEY) -> Tensor:
     state, covariance = c.memory[key][:, :4], c.memory[key][:, 4:].unflatten(-1, (4, 4))
     acceleration, yaw_rate = _level(c)
     transition = _transition(yaw_rate)
-    moved = pad(CONTROL_DT * acceleration, (0, 2))
-    state = rotate(transition, state) + rotate(transition, moved)
+    state = rotate(transition, state) + pad(CONTROL_DT * acceleration, (0, 2))
     covariance = transition @ covariance @ transition.mT + torch.diag(_PROCESS_NOISE.to(state))
     side = covariance[:, :, 1]  # covariances with v_y
     gain = side / (side[:, 1:2] + SIDE_SLIP**2)
@@ -129,7 +128,7 @@ def aligned_kalman_filter(c: StepContext, key: str = KEY) -> Tensor:
     state, covariance = c.memory[key][:, :5], c.memory[key][:, 5:].unflatten(-1, (5, 5))
     acceleration, yaw_rate = _level(c)
     transition = pad(_transition(yaw_rate), (0, 1, 0, 1)) + torch.diag(_KEEPS_YAW.to(state))
-    state = rotate(transition, state + pad(CONTROL_DT * acceleration, (0, 3)))
+    state = rotate(transition, state) + pad(CONTROL_DT * acceleration, (0, 3))
     covariance = transition @ covariance @ transition.mT + torch.diag(_ALIGNED_NOISE.to(state))
     vx, vy, *_, yaw = state.unbind(-1)
     sine, cosine, zero = torch.sin(yaw), torch.cos(yaw), torch.zeros_like(yaw)
@@ -159,13 +158,16 @@ def _level(c: StepContext) -> tuple[Tensor, Tensor]:
 
 
 def _transition(yaw_rate: Tensor) -> Tensor:
-    """Return F of the state, (N, 4, 4): v - b dt rotated back by the yaw of the step, and the constant bias."""
+    """Return F of the state, (N, 4, 4): v rotated back by the yaw of the step, less b dt, and the constant bias.
+
+    The acceleration is that of the step in the frame after it, and so is its bias.
+    """
     angle = CONTROL_DT * yaw_rate
     cosine, sine, zero = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)
-    keep = torch.full_like(angle, _KEEP)
+    keep, step = torch.full_like(angle, _KEEP), torch.full_like(angle, -CONTROL_DT)
     rows = [
-        cosine, sine, -CONTROL_DT * cosine, -CONTROL_DT * sine,
-        -sine, cosine, CONTROL_DT * sine, -CONTROL_DT * cosine,
+        cosine, sine, step, zero,
+        -sine, cosine, zero, step,
         zero, zero, keep, zero,
         zero, zero, zero, keep,
     ]  # fmt: skip

@@ -30,8 +30,11 @@ def steering_command(c: StepContext) -> Tensor:
 
 def position_alignment(c: StepContext) -> Tensor:
     """Compute r2: ‖p_B,xy - p_P,xy‖, by default with the centre of mass for p_B (A40)."""
-    aligned = c.state.com if c.interpretation.aligned_com else c.state.position
-    return (aligned - c.state.platform_position)[:, :2].norm(dim=-1)
+    if not c.interpretation.aligned_com:
+        return (c.state.position - c.state.platform_position)[:, :2].norm(dim=-1)
+    # the centre of mass is that at the start of the last substep: so is P, or a lean ahead by v dt would be rewarded
+    platform = c.state.platform_position - c.scene.model.opt.timestep * c.state.platform_velocity
+    return (c.state.com - platform)[:, :2].norm(dim=-1)
 
 
 def heading_alignment(c: StepContext) -> Tensor:
