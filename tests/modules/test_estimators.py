@@ -195,3 +195,8 @@ def test_check_accepts_a_minimal_estimator_and_leaves_the_random_state_alone():
 def test_check_names_what_is_wrong(factory, failed):
     with pytest.raises(AssertionError, match=failed):
         check_estimator(factory, history_shape=SHAPE, out_features=OUT)
+
+
+def test_a_convolution_that_never_sees_the_window_is_refused():
+    with pytest.raises(ValueError, match="kernel"):
+        get_estimator("tcn")((10, 46), 16, kernel=1)

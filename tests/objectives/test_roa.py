@@ -433,10 +433,9 @@ def test_renamed_keys(spec, make_loss, make_batch):
     )
     other.load_state_dict(state)
     other.set_keys(
-        **keys.for_loss(),
+        **keys.for_loss() | {"sample_log_prob": ("agent", "lp")},
         advantage=("gae", "adv"),
         value_target=("gae", "target"),
-        sample_log_prob=("agent", "lp"),
     )
     assert {keys.history, keys.extrinsic, keys.intrinsic} <= set(other.in_keys)
     for key, value in losses_of(other(renamed)).items():

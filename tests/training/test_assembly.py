@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 import torch
+from tensordict.nn import TensorDictModule
+from torchrl.modules import ProbabilisticActor, TanhNormal
 
-from torchrl_atr.modules import hadamard_leg_basis
-from torchrl_atr.training import DEPLOYMENT_OVERRIDES, ConfigError, make_config, make_env, make_run_networks
+from torchrl_atr.modules import CorrelatedGaussian, NetworkKeys, hadamard_leg_basis, make_networks
+from torchrl_atr.training import (
+    DEPLOYMENT_OVERRIDES,
+    ConfigError,
+    make_config,
+    make_env,
+    make_policy,
+    make_run_loss,
+    make_run_networks,
+)
 from torchrl_atr.training.assembly import TIME_LIMIT_CHECK_INTERVAL
 
 TRUTH = {("privileged", "intrinsic"), ("privileged", "extrinsic")}
@@ -84,3 +96,32 @@ def test_outputs_move_directions_of_exploration_with_the_gains_of_their_first_va
     torch.testing.assert_close(networks.exploration.std(), torch.tensor([0.3] * 3 + [0.1] * 9))
     gains = torch.tensor([0.3] * 3 + [0.1**2 / 0.3] * 9)
     torch.testing.assert_close(networks.backbone.output_map, gains.unsqueeze(-1) * basis.T)
+
+
+def test_a_custom_distribution_samples_itself():
+    config = make_config({"env.num_envs": 2, "compute.num_threads": 1, "ppo.actor_cells": [8], "ppo.critic_cells": [8]})
+    networks = make_run_networks(config, make_env(config))
+    ours = networks.rollout_policy("privileged")
+    assert isinstance(make_policy(config, networks)[-1], CorrelatedGaussian)
+    bounded = ProbabilisticActor(
+        TensorDictModule(
+            lambda observation: (observation[:, :12], torch.ones(2, 12)), ["observation"], ["loc", "scale"]
+        ),
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+    )
+    custom = SimpleNamespace(rollout_policy=lambda source: bounded)
+    assert make_policy(make_config({"compute.compiled": False}), custom) is bounded
+    assert ours.module[-1].distribution_class is not TanhNormal
+
+
+def test_renamed_entries_reach_the_policy_and_the_loss():
+    config = make_config({"env.num_envs": 2, "compute.num_threads": 1, "ppo.actor_cells": [8], "ppo.critic_cells": [8]})
+    env = make_env(config)
+    keys = NetworkKeys(action="act_", latent="z", extrinsic=("privileged", "extrinsic"), state_value="v")
+    networks = make_networks(env.observation_spec, env.action_spec, keys=keys)
+    assert make_policy(make_config({"compute.compiled": False}), networks).out_keys[-2:] == ["act_", "act__log_prob"]
+    loss = make_run_loss(config, networks)
+    assert (loss.tensor_keys.latent, loss.tensor_keys.value) == ("z", "v")
+    assert (loss.tensor_keys.action, loss.tensor_keys.sample_log_prob) == ("act_", "act__log_prob")

@@ -11,10 +11,11 @@ import pytest
 import torch
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.envs import reconfigure
+from torchrl_atr.envs import RidingEnv, reconfigure
+from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter
 from torchrl_atr.modules import with_correlated_noise
 from torchrl_atr.training import ConfigError, Learner, make_config, make_env, make_run_networks
-from torchrl_atr.training.collection import Collection, CollectionError
+from torchrl_atr.training.collection import Collection, CollectionError, _worker_env
 
 needs_ray = pytest.param(
     "ray", marks=pytest.mark.skipif(find_spec("ray") is None, reason="Ray is an extra: pip install 'torchrl_atr[ray]'")
@@ -153,3 +154,21 @@ def test_a_killed_worker_is_a_named_error_and_leaves_no_orphans(collector):
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
+
+
+def test_workers_of_a_resumed_run_are_where_the_time_limit_has_grown_to():
+    config = make_config({**TINY, "total_frames": 8 * 10_000, "compute.collector": "process"})
+    limits = {}
+    for started in (0, 100, 10_000):
+        env = _worker_env(partial(make_env, config), None, 4 * started, num_envs=4, seed=0, num_threads=1)
+        env.reset()
+        (counter,) = (part for part in env.transform if isinstance(part, RandomizedStepCounter))
+        limits[started] = counter.limit
+    assert limits[0] == 250  # 5 s
+    assert 250 < limits[100] < 1000
+    assert limits[10_000] == 1000
+
+
+def test_failures_of_a_plain_env_can_be_counted_in_workers():
+    env = _worker_env(lambda **share: RidingEnv(**share), None, 0, num_envs=2, seed=0, num_threads=1)
+    assert env.base_env.num_diverged == 0

@@ -340,3 +340,11 @@ def test_own_reward_terms_around_the_riding_env(tmp_path):
     assert trainer.curriculum is not None
     assert load_checkpoint(tmp_path)["model"]["robot"]
     assert load_run(tmp_path, make_env=own, num_envs=1)[1].batch_size == (1,)
+
+
+def test_networks_that_explore_more_than_a_run_ends_with_are_refused_at_its_start(tmp_path):
+    with pytest.raises(ConfigError, match=r"final_std=0\.01 must be above the floor .*, 0\.05; give a larger one"):
+        Trainer(
+            make_config(SMALL | {"exploration.final_std": 0.01, "exploration.min_std": 0.0}), tmp_path / "run", **CARTS
+        )
+    assert not (tmp_path / "run").exists()

@@ -13,6 +13,8 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
+from torchrl_atr.modules.keys import log_prob_key
+
 
 class RotatedNormal(IndependentNormal):
     """Normal distribution of actions that is independent along the columns of an orthonormal basis.
@@ -94,9 +96,8 @@ class CorrelatedGaussian(TensorDictModuleBase):
         self.correlation = float(correlation)
         self.register_buffer("basis", basis, persistent=False)
         self._noise: Tensor | None = None
-        log_prob = f"{action}_log_prob" if isinstance(action, str) else (*action[:-1], f"{action[-1]}_log_prob")
         self.in_keys = [loc, scale]
-        self.out_keys = [action, log_prob]
+        self.out_keys = [action, log_prob_key(action)]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the action and its log-probability; the mean under ``ExplorationType.DETERMINISTIC``."""
@@ -127,16 +128,13 @@ class CorrelatedGaussian(TensorDictModuleBase):
         self._noise = None if noise is None else noise.clone()
 
 
-def with_correlated_noise(
-    actor: ProbabilisticActor, correlation: float, action: NestedKey = "action"
-) -> TensorDictSequential:
+def with_correlated_noise(actor: ProbabilisticActor, correlation: float) -> TensorDictSequential:
     """Replace an actor's sampling by :class:`CorrelatedGaussian`; the networks stay shared.
 
     Args:
         actor (ProbabilisticActor): a Gaussian policy that writes ``loc`` and ``scale``, such as
             :func:`~torchrl_atr.modules.make_actor`'s.
         correlation (float): ρ in [0, 1).
-        action (NestedKey): the actor's output.
 
     Returns:
         TensorDictSequential: the policy for a collector.
@@ -149,4 +147,4 @@ def with_correlated_noise(
     """
     *networks, sampler = actor.module
     basis = sampler.distribution_kwargs.get("basis")
-    return TensorDictSequential(*networks, CorrelatedGaussian(correlation, basis=basis, action=action))
+    return TensorDictSequential(*networks, CorrelatedGaussian(correlation, basis=basis, action=sampler.out_keys[0]))

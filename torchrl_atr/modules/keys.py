@@ -54,5 +54,16 @@ class NetworkKeys:
             "latent_estimate_scale": self.intrinsic_scale,
             "extrinsic_estimate_scale": self.extrinsic_scale,
             "action": self.action,
+            "sample_log_prob": log_prob_key(self.action),
             "value": self.state_value,
         }
+
+
+def log_prob_key(action: NestedKey) -> NestedKey:
+    """Return the key of an action's log-probability, as TorchRL names it.
+
+    Example:
+        >>> log_prob_key("action"), log_prob_key(("agent", "action"))
+        ('action_log_prob', ('agent', 'action_log_prob'))
+    """
+    return f"{action}_log_prob" if isinstance(action, str) else (*action[:-1], f"{action[-1]}_log_prob")

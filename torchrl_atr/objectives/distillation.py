@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tensordict import NestedKey, TensorDict, TensorDictBase
+from tensordict.nn import dispatch
 
 from torchrl_atr.objectives.roa import ROAClipPPOLoss
 
@@ -35,6 +36,30 @@ class DistillationLoss(ROAClipPPOLoss):
     def policy_in_keys(self) -> list[NestedKey]:
         """Entries that :meth:`policy_loss` reads; masks are optional."""
         return [*self.actor_network.in_keys, self.tensor_keys.teacher_mean, *self._mask_keys]
+
+    def further_in_keys(self) -> list[NestedKey]:
+        """Return the inputs of the adaptation networks, and their targets."""
+        return self.adaptation_in_keys if hasattr(self, "_estimators") else []
+
+    def _set_in_keys(self) -> None:
+        self._in_keys = list({*self.policy_in_keys, *self.further_in_keys()})
+
+    @property
+    def out_keys(self) -> list[NestedKey]:
+        """Keys of the imitation term and of the adaptation terms."""
+        if self._out_keys is None:
+            terms = [key for key in self.further_out_keys() if key not in ("loss_roa", "loss_smoothness")]
+            self._out_keys = ["loss_imitation", *terms]
+        return self._out_keys
+
+    @out_keys.setter
+    def out_keys(self, values: list[NestedKey]) -> None:
+        self._out_keys = values
+
+    @dispatch
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Return ``loss_imitation`` and both estimator losses, with diagnostics."""
+        return self.policy_loss(tensordict).update(self.adaptation_loss(tensordict))
 
     def policy_loss(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Return ``loss_imitation``.

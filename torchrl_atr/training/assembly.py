@@ -32,6 +32,7 @@ from torchrl_atr.modules import (
     make_networks,
     with_correlated_noise,
 )
+from torchrl_atr.modules.action_noise import RotatedNormal
 from torchrl_atr.modules.checks import check_registered
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.modules.sizes import estimator_specs
@@ -258,7 +259,7 @@ def make_run_loss(
         "functional": False,
     }
     made = loss_class or (DistillationLoss if config.roa.policy_update == "imitation" else ROAClipPPOLoss)
-    return made(
+    loss = made(
         networks.training_actor(config.roa.act_source),
         networks.critic_module,
         networks.encoder_module,
@@ -266,6 +267,9 @@ def make_run_loss(
         networks.extrinsic_estimator_module,
         **{**arguments, **more},
     )
+    if (keys := getattr(networks, "keys", None)) is not None:
+        loss.set_keys(**keys.for_loss())
+    return loss
 
 
 def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
@@ -274,9 +278,15 @@ def make_reward_schedule(env: EnvBase) -> dict[str, Callable[[float], float]]:
 
 
 def make_policy(config: TrainConfig, networks: ROANetworks) -> TensorDictSequential:
-    """Return the policy that a run collects with; it shares the networks."""
+    """Return the policy that a run collects with; it shares the networks.
+
+    ``exploration.noise_correlation`` is of our Gaussian policy: custom networks with another distribution sample from
+    that.
+    """
     actor = networks.rollout_policy(config.roa.act_source)
     direct = config.compute.collector == "direct"  # compiled modules cannot be sent to workers
     if config.compiles_networks and direct and not state_keys(actor):  # TorchRL's recurrent modules ask for values
         compile_methods(actor.module[0], "forward")
+    if getattr(actor.module[-1], "distribution_class", None) is not RotatedNormal:
+        return actor
     return with_correlated_noise(actor, config.exploration.noise_correlation)

@@ -15,7 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._cpus import available_cpus
@@ -23,6 +23,7 @@ from torchrl_atr._errors import InputError, UserError, first_line
 from torchrl_atr._torchrl_private import carried_root
 from torchrl_atr.config import TrainConfig
 from torchrl_atr.envs import reconfigure
+from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter
 from torchrl_atr.modules import DeviceBridge, with_state
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
@@ -103,6 +104,7 @@ class Collection:
                 _worker_env,
                 make_env,
                 weights,
+                self._started * config.ppo.rollout_steps,
                 num_envs=config.env.num_envs // config.compute.workers,
                 seed=(config.seed + _WORKER_STRIDE * (worker + 1) + _RESUME_STRIDE * self._started) % 2**31,
                 num_threads=threads,
@@ -173,7 +175,10 @@ class Collection:
         here = attribute(self.env, "num_diverged")
         if not self.remote or here is None:
             return here
-        return sum(self.collector.get_distant_attr("env.base_env.num_diverged")) if self.callable else None
+        if not self.callable:
+            return None
+        with self._workers():
+            return sum(self.collector.get_distant_attr("env.base_env.num_diverged"))
 
     def metrics(self) -> dict[str, float]:
         """Return the extent of the commands, where there is a curriculum, and ``diverged``, where it is known."""
@@ -258,12 +263,23 @@ def _engine(config: TrainConfig, threads: int, of_each: dict[str, Any]) -> dict[
     return {"backend": config.compute.collector, "total_frames": _ENDLESS, "backend_options": options}
 
 
-def _worker_env(make_env: Callable[..., EnvBase], weights: Tensor | None, *, seed: int, **share: Any) -> EnvBase:
-    """Return a worker's env with the current curriculum; seed the exploration of the process it is made in."""
+def _worker_env(
+    make_env: Callable[..., EnvBase], weights: Tensor | None, steps: int, *, seed: int, **share: Any
+) -> EnvBase:
+    """Return a worker's env with the current curriculum; seed the exploration of the process it is made in.
+
+    Its time limit grows as in an env that has taken that number of ``steps``. It is a transformed env, on whose base
+    :attr:`Collection.num_diverged` counts.
+    """
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the trainer decides
     torch.manual_seed(seed)
     env = make_env(seed=seed, **share)
+    env = env if isinstance(env, TransformedEnv) else TransformedEnv(env)
+    for part in env.transform:
+        if isinstance(part, RandomizedStepCounter) and part.growth is not None:
+            begin, end = part.growth.begin - steps, part.growth.end - steps
+            part.growth = part.growth._replace(begin=begin, end=end)
     if weights is not None:
         env.curriculum.load_weights(weights)
     return env

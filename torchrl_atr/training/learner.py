@@ -22,6 +22,7 @@ from torchrl_atr.modules import ROANetworks
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.objectives.schedules import kl_divergence
+from torchrl_atr.objectives.smoothness import rms_change
 from torchrl_atr.training.assembly import make_run_loss
 from torchrl_atr.training.callbacks import Callbacks, Phase
 from torchrl_atr.training.guard import StepGuard
@@ -67,7 +68,9 @@ class Learner:
         self._update = config.roa.policy_update
         self.teacher = Teacher(networks) if self._update == "imitation" else None
         estimators = networks.intrinsic_estimator_module, networks.extrinsic_estimator_module
-        self._recurrent = any(state_keys(each) for each in estimators if each is not None)  # trained on sequences
+        stateful = [each is not None and bool(state_keys(each)) for each in estimators]
+        self._latent_recorded = config.roa.act_source != "privileged" or stateful[0]  # by the rollout
+        self._on_sequences = any(stateful)  # what the estimators are trained on
         self.reward_schedule, self.callbacks = dict(reward_schedule or {}), callbacks or Callbacks()
         critic = networks.critic_module
         self.advantage = GAE(
@@ -79,8 +82,9 @@ class Learner:
             shifted_budget=2,  # a row with a time limit within it keeps its last step, and the fall that may end it
             vectorized=False,  # over few steps a loop takes half as long
         )
+        self.advantage.set_keys(value=critic.out_keys[0])
         if config.compiles_networks:
-            compile_methods(self.loss, "policy_loss", *["adaptation_loss"] * (not self._recurrent))
+            compile_methods(self.loss, "policy_loss", *["adaptation_loss"] * (not self._on_sequences))
             compile_methods(critic, "forward")
         self._groups, ppo = parameter_groups(networks), config.ppo
         self.optimizers = make_optimizers(self._groups, config)
@@ -94,7 +98,7 @@ class Learner:
 
     def _make_steps(self) -> dict[str, Callable[[TensorDictBase], TensorDictBase]]:
         captured = CudaGraph if self.config.captures_graphs else (lambda step: step)
-        estimators = self._adaptation_step if self._recurrent else captured(self._adaptation_step)
+        estimators = self._adaptation_step if self._on_sequences else captured(self._adaptation_step)
         return {"policy": captured(self._policy_step), "estimators": estimators}
 
     @property
@@ -115,7 +119,7 @@ class Learner:
             progress: share of the run that is over, in [0, 1].
         """
         explore, ppo = self.config.exploration, self.config.ppo
-        if explore.anneal:
+        if explore.anneal and self._update == "ppo":
             late = float(np.interp(progress, [explore.anneal_from, explore.anneal_until], [0.0, 1.0]))
             self.networks.exploration.cap_(explore.init_std * (explore.final_std / explore.init_std) ** late)
             self.schedule.target_kl = ppo.target_kl + late * (ppo.final_kl - ppo.target_kl)
@@ -144,7 +148,7 @@ class Learner:
             batch = with_factors(batch, self._reward_factors)
             batch = self.advantage(batch) if self._update == "ppo" else batch
             batch.set("previous_mean", previous_means(batch["loc"], batch["next", "done"]))
-            action_rate = (batch["loc"] - batch["previous_mean"]).square().mean().sqrt()
+            action_rate = rms_change(batch["loc"], batch["next", "done"])
         flat = batch.reshape(-1)
         self._record(flat)
         shuffled = self._shuffled(flat)
@@ -154,7 +158,7 @@ class Learner:
         if self._update != "none":
             steps["policy"] = self._learn_policy(shuffled)
         if self.config.estimator.epochs and "estimators" in self._groups:
-            steps["estimators"] = self._learn_estimators(self._shuffled(batch) if self._recurrent else shuffled)
+            steps["estimators"] = self._learn_estimators(self._shuffled(batch) if self._on_sequences else shuffled)
         if self._update != "none":
             self.networks.update_normalizers(flat)
         self._averaged.update_parameters(self.networks)
@@ -170,8 +174,7 @@ class Learner:
         if self.teacher is not None:
             self.teacher.label(flat, self.minibatch_size)
         module: Any = self.networks.intrinsic_estimator_module
-        recorded = self.config.roa.act_source != "privileged" or self._recurrent
-        if self._update == "ppo" and module is not None and not recorded:
+        if self._update == "ppo" and module is not None and not self._latent_recorded:
             record_output(module, flat, self.minibatch_size, module.out_keys[0])
 
     def _shuffled(self, flat: TensorDictBase) -> TensorDictBase:

@@ -63,7 +63,7 @@ def trained_networks(
 
     Raises:
         CheckpointError: if a checkpoint is of another model, or of other networks.
-        ConfigError: if the networks lack something.
+        ConfigError: if the networks lack something, or explore more than the settings ask for in the end.
         EstimatorError: if the estimator cannot be trained.
     """
     weights = None
@@ -75,9 +75,19 @@ def trained_networks(
         check_model(other, attribute(env, "scene"), run, {*replaced, *other_parts(config, other)})
         weights = deployed_weights(other["learner"])
     networks = parts.networks(config, env)
+    _check_annealing(networks, config)
     if weights is not None:
         load_networks(networks, weights, run)
     return networks.to(config.compute.device)
+
+
+def _check_annealing(networks: Any, config: TrainConfig) -> None:
+    explore, floor = config.exploration, getattr(networks.exploration, "min_std", 0.0)
+    if explore.anneal and config.roa.policy_update == "ppo" and explore.final_std <= floor:
+        raise ConfigError(
+            f"exploration.final_std={explore.final_std:g} must be above the floor of the networks' exploration, "
+            f"{floor:g}; give a larger one, a lower floor, or exploration.anneal=false"
+        )
 
 
 @torch.no_grad()

@@ -61,7 +61,7 @@ class Trainer:
         callbacks: called at fixed points of the run.
 
     A robot that is given by a file is copied into the folder with all that it reads, and the copy is what is trained.
-    Factories and callbacks that other processes need must be picklable.
+    With workers, ``make_env`` must be picklable.
 
     Attributes:
         config: the recipe, with the folder's own copies of the files that it names.
@@ -132,6 +132,7 @@ class Trainer:
             self._restore(state)
         elif other is not None:
             self._begin_from(other)
+        self.learner.anneal(self.progress_made)
         title = self.parts.names.get("make_env", config.title)
         self.progress = Progress(self.run, config, None if state is None else self.frames, logger, title)
 
@@ -226,13 +227,10 @@ class Trainer:
     def iterate(self) -> dict[str, float]:
         """Collect a batch, learn from it and return metrics; rate and minutes include logs and checkpoints."""
         self.threads.update()
-        self.learner.anneal(self.progress_made)
         started = time.monotonic()
         batch = self.parts.callbacks.through("on_batch", self.collection.collect())
         collected = time.monotonic()
         metrics = {**batch_metrics(batch), **self.learner.update(batch)}
-        self.collection.exchange()
-        metrics |= self.collection.metrics()
         metrics["std"] = float(self.learner.networks.exploration.std().detach().mean())
         metrics["torch_threads"] = self.threads.count
         now = time.monotonic()
@@ -242,6 +240,9 @@ class Trainer:
         self.iteration += 1
         self.seconds += now - self._mark
         self._mark = now
+        self.learner.anneal(self.progress_made)  # before workers get what they explore with
+        self.collection.exchange()
+        metrics |= self.collection.metrics()
         if "episode_reward" in metrics:
             self.reward += max(_MEMORY, 1 / self.iteration) * (metrics["episode_reward"] - self.reward)
         metrics["frames"], metrics["iteration"], metrics["minutes"] = self.frames, self.iteration, self.seconds / 60

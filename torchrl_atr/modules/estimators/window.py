@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torchrl.modules import GRU, MLP
 
+from torchrl_atr._checks import check_whole
 from torchrl_atr.modules.estimators.registry import register_estimator
 
 
@@ -150,6 +151,7 @@ class TCNEstimator(nn.Module):
 
     def __init__(self, history_shape: tuple[int, int], out_features: int, channels: int = 64, kernel: int = 3) -> None:
         super().__init__()
+        kernel = check_whole("kernel", kernel, low=2)
         self.history_shape = (int(history_shape[0]), int(history_shape[1]))
         self.embed = nn.Conv1d(self.history_shape[1], channels, 1)
         self.levels, self.past, seen = nn.ModuleList(), [], 1
