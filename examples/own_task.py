@@ -3,6 +3,8 @@
 Run it:  torchrl-atr train --import examples.own_task --task careful_riding --total-frames 100000
 """
 
+from functools import wraps
+
 from torchrl_atr.envs.tasks import TASKS, IntrinsicParameter, ObservationTerm, RewardTerm, mirrors, riding
 
 
@@ -21,9 +23,10 @@ def friction_loss(fields, value, scene):
     fields["dof_frictionloss"][:, scene.layout.joint_dof] = value
 
 
-def careful_riding(robot="a1", transporter="single_board", profile="default", pushes=True, moving_start=0.0):
-    """Return the task; the settings of a run (robot, pushes and so on) are its arguments."""
-    task = riding(robot, transporter, profile=profile, pushes=pushes, moving_start=moving_start)
+@wraps(riding, assigned=())
+def careful_riding(*arguments, **settings):
+    """Return the task; the settings of a run (robot, sensors, pushes and so on) are its arguments, those of riding."""
+    task = riding(*arguments, **settings)
     loads = ObservationTerm(foot_loads, mirror=mirrors.legs, noise=0.05)
     return task.with_observation("proprio", foot_loads=loads).replace(
         name="careful_riding",

@@ -1,9 +1,10 @@
-"""Formatting of numbers in columns of fixed width."""
+"""Formatting of numbers and tables, and labels in texts."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
+from pathlib import Path
 
 
 def number(value: float | None, width: int, decimals: int) -> str:
@@ -38,3 +39,16 @@ def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in line)} |" for line in lines)
+
+
+def split_label(text: str, known: Container[str] = ()) -> tuple[str, str]:
+    """Split ``LABEL=RUN`` at the first ``=``; a folder, or a ``known`` name, has no label, whatever it is called.
+
+    Example:
+        >>> split_label("ours=runs/a"), split_label("lr=0.1", known={"lr=0.1"})
+        (('ours', 'runs/a'), ('', 'lr=0.1'))
+    """
+    if text in known or Path(text).is_dir() or "=" not in text:
+        return "", text
+    label, _, run = text.partition("=")
+    return label, run

@@ -169,7 +169,7 @@ def questions() -> Iterator[str]:
 
     for path, each in _settings().items():
         if each.question:
-            values = ", ".join(f"{name} {_value(each.value_in(name))}" for name in PRESETS)
+            values = ", ".join(f"{name} {_value(PRESETS.get(name).get(path, each.default))}" for name in PRESETS)
             yield f"{path} ({each.question}): {values}"
             yield f"    {each.text}"
 

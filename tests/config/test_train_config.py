@@ -168,3 +168,12 @@ def test_bad_files(tmp_path, name, text, message):
         path.write_text(text)
     with pytest.raises(ConfigError, match=message):
         read_config(path)
+
+
+def test_a_setting_that_the_task_does_not_take_is_refused():
+    with pytest.raises(
+        ConfigError, match=r"task.fall_weight=200.0: the task 'walking' has no fall_weight; leave it out"
+    ):
+        make_config({"task.name": "walking", "task.fall_weight": 200.0})
+    for preset in ("paper", "default", "legged_gym"):
+        assert make_config({"task.name": "walking", "preset": preset}).make_task().name == "walking"

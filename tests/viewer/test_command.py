@@ -33,7 +33,7 @@ def test_without_a_policy_it_says_how_to_get_one(tmp_path, monkeypatch, capsys):
     ("arguments", "message"),
     [
         (["view", "nowhere", "--port", "0"], "there is no checkpoint at nowhere"),
-        (["demo", "nowhere", "--host", "192.0.2.1"], "192.0.2.1 is not an address of this machine"),
+        (["demo", "nowhere", "--host", "192.0.2.1"], "192.0.2.1 is not an IPv4 address of this machine"),
         (["view", "nowhere", "--sensors", "perfect", "--robots", "99"], "a whole number in [1, 16]"),
     ],
 )

@@ -113,7 +113,7 @@ def test_a_port_in_use(capsys):
         port = other.getsockname()[1]
         with pytest.raises(InputError, match=f"port {port} is in use"), viser_server(port=port):
             pass
-    with pytest.raises(InputError, match="not an address of this machine"):
+    with pytest.raises(InputError, match="not an IPv4 address of this machine"):
         free_port("192.0.2.1", 0)
     assert capsys.readouterr().out == ""
 

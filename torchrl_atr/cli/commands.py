@@ -148,6 +148,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
             if state["curriculum"] is not None:
                 weights = state["curriculum"]["weights"]
                 run_figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")
+        measured.finish()
     lines = [*measured.lines, f"report in {output}"]
     say("\n".join(lines if arguments.command_range != "record" else [*lines, _record_range(measured, arguments.run)]))
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from torchrl_atr._files import folder_for, say
 from torchrl_atr._text import number
+from torchrl_atr.cli.chosen import checkpoint_file
 from torchrl_atr.cli.option_types import file_path, number_in, run_folder, seed
 
 _SIZES = ("robots", "seconds", "updates", "batch", "seeds")
@@ -50,14 +51,14 @@ def compare(arguments: argparse.Namespace) -> None:
     from torchrl_atr.comparison import QUICK, CompareOptions, Study, summarize, write_comparison
     from torchrl_atr.modules import available_estimators
     from torchrl_atr.training import load_run
-    from torchrl_atr.training.checkpoint import BEST
     from torchrl_atr.training.provenance import machine
 
     given = {name: getattr(arguments, name) for name in (*_SIZES, *_RANGES)}
     sizes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
     options = CompareOptions(**{**(QUICK if arguments.quick else {}), **sizes})
-    checkpoint = BEST if arguments.checkpoint == "best" else None
-    config, env, networks, state = load_run(arguments.run, checkpoint, arguments.imports or (), num_envs=1)
+    config, env, networks, state = load_run(
+        arguments.run, checkpoint_file(arguments), arguments.imports or (), num_envs=1
+    )
     estimators = arguments.estimators or available_estimators()
     with folder_for(arguments.output) as output, TorchThreads() as threads:
         study = Study(config, env, networks, output, options, announce=say, tick=threads.update)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 
 from torchrl_atr._files import folder_for, say
+from torchrl_atr._text import split_label
 from torchrl_atr.cli.option_types import file_path
-from torchrl_atr.deploy.manifest import find_policy
+from torchrl_atr.deploy.manifest import find_policy, policies
 
 
 def add_plot(parser: argparse.ArgumentParser) -> None:
@@ -31,5 +32,5 @@ def plot(arguments: argparse.Namespace) -> None:
 
 def _located(text: str) -> str:
     """Return ``[LABEL=]RUN`` with the folder of an installed policy in place of its name."""
-    label, mark, run = text.rpartition("=")
-    return f"{label}{mark}{find_policy(run)}"
+    label, run = split_label(text, policies())
+    return f"{label}={find_policy(run)}" if label else str(find_policy(run))

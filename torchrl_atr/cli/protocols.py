@@ -21,12 +21,21 @@ Progress = Callable[[int, int], None]
 
 
 class Measured(NamedTuple):
-    """Outcome of a protocol: result and metrics, the function that writes the report, and the lines to print."""
+    """Outcome of a protocol.
+
+    Attributes:
+        result: of the evaluation.
+        metrics: of it.
+        write: writes the report into a folder.
+        lines: to print.
+        finish: called when the report is in its place.
+    """
 
     result: TrackingResult | EnduranceResult | dict[str, Any]
     metrics: dict[str, Any]
     write: Callable[[Path], Any]
     lines: list[str]
+    finish: Callable[[], None] = lambda: None
 
 
 class Protocol(NamedTuple):

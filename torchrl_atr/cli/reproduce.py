@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from torchrl_atr._errors import MissingPackageError, UserError
+from torchrl_atr._errors import UserError
 from torchrl_atr._files import folder_for, say
 from torchrl_atr.cli.option_types import file_path, number_in, seed
 from torchrl_atr.cli.printing import step_progress
@@ -72,13 +72,8 @@ def _figure6(imports: Sequence[str], **options: Any) -> Make:
 
 
 def _figure5(imports: Sequence[str], walking: Sequence[str] = (), **options: Any) -> Make:
-    try:
-        from torchrl_atr.navigation import load_map
-        from torchrl_atr.reproduction.figure5 import figure5
-    except ModuleNotFoundError as error:
-        if error.name not in ("ompl", "shapely"):
-            raise
-        raise MissingPackageError(error.name, "navigation") from None
+    from torchrl_atr.navigation import load_map
+    from torchrl_atr.reproduction.figure5 import figure5
     from torchrl_atr.reproduction.policies import load_policies
 
     for source in options.get("maps", ()):

@@ -56,7 +56,7 @@ def next_commands(run: Path, teacher: bool = False, riding: bool = True) -> list
     commands = [
         (f"torchrl-atr evaluate {folder}{truth}", "how well it tracks commands"),
         (f"torchrl-atr evaluate {folder} --protocol endurance{truth}", "how long it lasts"),
-        (f"torchrl-atr view {folder}", "see it and steer it in the browser"),
+        *([] if teacher else [(f"torchrl-atr view {folder}", "see it and steer it in the browser")]),
         (f"torchrl-atr plot {folder} --output {folder}/figures", "learning curves and evaluations as figures"),
     ]
     if riding and not teacher:

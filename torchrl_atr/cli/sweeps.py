@@ -61,9 +61,8 @@ def robustness(
 
         write_json(folder / "metrics.json", metrics, allow_nan=False)
         plot_robustness(metrics, folder / "robustness.png")
-        rows.remove()
 
-    return Measured(metrics, metrics, write, list(robustness_lines(metrics)))
+    return Measured(metrics, metrics, write, list(robustness_lines(metrics)), rows.remove)
 
 
 def compatibility(

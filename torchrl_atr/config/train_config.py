@@ -14,7 +14,7 @@ from typing import Any
 import torch
 
 from torchrl_atr._registry import import_modules
-from torchrl_atr._settings import ConfigError, Settings, setting
+from torchrl_atr._settings import ConfigError, Settings, setting, settings
 from torchrl_atr.config.env_settings import CurriculumConfig, EnvConfig, TaskConfig
 from torchrl_atr.config.estimator_settings import EstimatorConfig
 from torchrl_atr.config.files import read_values
@@ -104,14 +104,24 @@ class TrainConfig(Settings):
         given = {each.name: getattr(own, each.name) for each in dataclasses.fields(own)}
         given |= {"profile": own.interpretation, "steering_weight_peak_at": self.exploration.anneal_until}
         given["gains"] = (own.kp, own.kd) if own.kp or own.kd else None
-        for name, default in (("transporter", type(own).transporter), ("gains", None)):
-            if given[name] != default and name not in known:
+        for name in given.keys() - known.keys() - _HELD:
+            if given[name] not in self._unset(name):
                 raise ConfigError(
                     f"task.{name}={given[name]!r}: the task {own.name!r} has no {name}; leave it out, or take "
                     "--task riding"
                 )
         passed = {name: value for name, value in given.items() if name in known and name not in ("name", "rewards")}
         return override(make_task(own.name, **{**passed, **overrides}), own.rewards, own.randomization)
+
+    def _unset(self, name: str) -> list[Any]:
+        """Return the values of a task's setting that ask for nothing: default, the preset's, the task's, and off."""
+        from torchrl_atr.config.presets import PRESETS, TASK_SETTINGS
+
+        default, path = getattr(TaskConfig(), name, None), f"task.{name}"
+        given = [
+            known.get(path, default) for known in (PRESETS.get(self.preset), TASK_SETTINGS.get(self.task.name, {}))
+        ]
+        return [default, *given, *([each.value_in("paper")] if (each := settings(TrainConfig).get(path)) else [])]
 
     @property
     def title(self) -> str:
@@ -193,6 +203,18 @@ def read_config(path: str | Path) -> dict[str, Any]:
     return values
 
 
+_HELD = {
+    "name",
+    "rewards",
+    "randomization",
+    "kp",
+    "kd",
+    "interpretation",
+    "profile",
+    "pushes",
+    "steering_weight_peak_at",
+}
+"""Task settings that reach a task otherwise than as an argument of that name, or have parts of their own."""
 _ORDER = (
     ("curriculum.command_seconds", "env.episode_seconds", 0.0, "no command would ever be scored"),
     ("curriculum.score_from_seconds", "curriculum.command_seconds", CONTROL_DT, "nothing would be left to score"),

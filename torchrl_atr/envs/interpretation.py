@@ -80,8 +80,8 @@ class Interpretation(Settings):
     estimates lag by one step, 20 ms. Extreme Parkour leaves o_t out as well; with it, estimates are of the present."""
     aligned_com: bool = setting(True, question="A40", off=False, addition="r2 of the centre of mass")
     """Let r2 be the distance of the robot's centre of mass from the platform's pivot, not that of its trunk's origin.
-    Balance puts the centre of mass over the pivot. Hidden shifts of up to 0.2 m, and Spot's own of 34 mm, part it from
-    the trunk's origin: r2 as printed pays for standing off balance, which drives the transporter."""
+    Balance puts the centre of mass over the pivot. Hidden parameters part it from the trunk's origin by up to 7 (A1) to
+    9 cm (Spot): r2 as printed pays for standing off balance, which drives the transporter."""
     contacting_polygon: bool = setting(False, question="A31")
     """Let r4's and r5's polygon be of the feet in contact; with fewer than three all is outside. r4's and r5's polygon
     is 'defined by foot positions': of all four feet, or of those in contact. All four, as printed; a lifted foot

@@ -111,7 +111,9 @@ def ended_by(env: EnvBase) -> dict[str, Tensor]:
 
 
 def disturbance_steps(env: EnvBase) -> dict[str, int]:
-    """Return by name the control steps between two disturbances of a robot; empty for other base envs.
+    """Return by name the control steps between two disturbances in force, those of episodes that begin next.
+
+    Empty for other base envs.
 
     Example:
         >>> from torchrl_atr.envs import RidingEnv
@@ -119,7 +121,7 @@ def disturbance_steps(env: EnvBase) -> dict[str, int]:
         {'push': 150}
     """
     base = base_env(env)
-    known = base.task.disturbances if isinstance(base, QuadrupedEnv) else {}
+    known = base.runner.disturbances if isinstance(base, QuadrupedEnv) else {}
     return {name: disturbance.steps for name, disturbance in known.items()}
 
 

@@ -16,6 +16,7 @@ from torchrl_atr.envs.models import ROBOTS, TRANSPORTER_DESIGNS, TRANSPORTERS, S
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import base_env
 from torchrl_atr.evaluation.endurance import EnduranceResult, evaluate_endurance
+from torchrl_atr.evaluation.endurance_metrics import endurance_metrics
 from torchrl_atr.evaluation.intervals import share_text
 from torchrl_atr.evaluation.ride import MAX_ROBOTS, build_env, key_name
 from torchrl_atr.evaluation.robustness import row_of, shifted
@@ -206,7 +207,7 @@ def evaluate_compatibility(
             cell["refused"] = str(error)
         else:
             protocol = {"seconds": result.seconds, "command_seconds": result.command_seconds}
-            cell |= row_of(result)
+            cell |= row_of(endurance_metrics(result))
         cells.append(cell)
     own = {"robot": scene.robot.name, "transporter": scene.support.name}
     return {"protocol": "compatibility", "n": robots, **protocol, "trained_on": own, "cells": cells}

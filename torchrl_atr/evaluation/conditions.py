@@ -120,7 +120,8 @@ def _sweeps(task: Task) -> Iterator[Sweep]:
     if errors:
         late = max((group[name].delay for name in errors), default=0.0)
         factors = tuple(
-            Condition("sensor_errors", k, _within(k, trained), sensors=_scaled(errors, k)) for k in SENSOR_FACTORS
+            Condition("sensor_errors", k, _within(k, trained), sensors=_scaled(errors, k) if k or trained else {})
+            for k in SENSOR_FACTORS
         )
         yield Sweep("sensor_errors", "times", factors, (0.0, trained))
         delays = (
@@ -170,9 +171,7 @@ def _sensor_errors(task: Task) -> tuple[dict[str, dict[str, Any]], float]:
 
 
 def _scaled(errors: SensorSet, factor: float) -> SensorSet:
-    """Return sensor errors with noise and bias times a factor, and their delays; none at all for 0."""
-    if not factor:
-        return {}
+    """Return sensor errors with noise and bias times a factor, and their delays."""
     worse = {name: {k: factor * each[k] for k in ("noise", "bias") if k in each} for name, each in errors.items()}
     return {name: {**each, **worse[name]} for name, each in errors.items()}
 

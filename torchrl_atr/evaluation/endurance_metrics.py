@@ -156,10 +156,18 @@ def falls_after(result: EnduranceResult) -> dict[str, Any]:
             "falls": soon,
             "share": soon / falls if falls else math.nan,
             "share_interval": list(wilson(soon, falls)),
-            "expected": float(np.minimum(1.0, within / intervals[name])),
+            "expected": _share_after(result.seconds, intervals[name], within, first=name == "since_command"),
             "median": float(np.median(known)) if known.size else math.nan,
         }
     return entries
+
+
+def _share_after(seconds: float, interval: float, within: float, first: bool) -> float:
+    """Return the share of a ride that is soon after one of its events, of which the ``first`` may be at its start."""
+    if math.isnan(interval):
+        return math.nan
+    events = math.ceil(seconds / interval - _ROUNDING) - (not first)
+    return min(1.0, events * min(within, interval) / seconds)
 
 
 def compare_fallen(result: EnduranceResult) -> dict[str, Any]:

@@ -30,10 +30,11 @@ class Envelope:
     A transporter that drives at v and turns at ω accelerates sideways by v ω. Three things follow:
 
     - The feet hold while |v ω| ≤ μ g.
-    - The robot's ZMP must stay at the pivot, where the board balances, so its centre of mass, h above the pivot, leans
-      inwards by h |v ω| / g. The trunk leans with it, and r2, the distance between trunk and pivot, costs
-      w2 h |v ω| / g per second.
-    - r1 earns w1 exp(-|c_ω - ω| / σ) per second, so at the speed v the best steady turn has the ω that maximises
+    - On a board that tilts to the side, the robot's ZMP must stay at the pivot, where it balances, so its centre of
+      mass, h above the pivot, leans inwards by h |v ω| / g, and r2, its distance from the pivot, costs
+      w2 h |v ω| / g per second. Boards that do not tilt to the side need no lean: w2 counts as 0.
+    - r1, as printed, earns w1 exp(-|c_ω - ω| / σ) per second, so at the speed v the best steady turn has the ω that
+      maximises
 
       f(ω) = w1 exp(-(|c_ω| - ω) / σ) - w2 h |v| ω / g,  0 ≤ ω ≤ min(|c_ω|, μ g / |v|).
 
@@ -46,7 +47,7 @@ class Envelope:
 
     Attributes:
         yaw_weight: w1, reward per second.
-        lean_weight: w2, reward per second and metre, positive.
+        lean_weight: w2, reward per second and metre; 0 where no lean is needed.
         height: h, of the standing trunk above the hinges of the board, m.
         friction: μ between feet and board.
         width: σ of r1's kernel, rad/s.
@@ -77,7 +78,9 @@ class Envelope:
         if not isinstance(task.support, Transporter) or friction is None or yaw <= 0 or lean > 0:
             return None
         standing = task.robot.standing_height + task.support.spec.size[2] / 2
-        return cls(yaw, 0.0 - lean, standing if height is None else height, friction.nominal)
+        tilts = any(task.support.spec.design.attitude[1])  # to the side; else the ZMP may be anywhere between the feet
+        lean = 0.0 - lean if tilts else 0.0
+        return cls(yaw, lean, standing if height is None else height, friction.nominal)
 
     def friction_yaw_rate(self, speeds: ArrayLike, yaw_rates: ArrayLike) -> Array:
         """Compute the largest |ω| up to each command that friction allows, rad/s.

@@ -35,7 +35,7 @@ class RideStep:
 
     Attributes:
         index: number of steps before it.
-        command: in force during it, (n, C).
+        command: asked for during it, which an env may approach at a limited rate, (n, C).
         observed: the env's entries before it.
         decided: the policy's output.
         up: mask of the robots that were up before it, (n,) bool.

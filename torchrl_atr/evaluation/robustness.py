@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -13,7 +12,7 @@ from torchrl.envs import EnvBase
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import base_env
 from torchrl_atr.evaluation.conditions import BASELINE, REGIONS, Condition, Sweep, describe, sweeps_of
-from torchrl_atr.evaluation.endurance import EnduranceResult, evaluate_endurance
+from torchrl_atr.evaluation.endurance import evaluate_endurance
 from torchrl_atr.evaluation.endurance_metrics import endurance_metrics
 from torchrl_atr.evaluation.intervals import share_text
 from torchrl_atr.evaluation.ride import MAX_ROBOTS, build_env
@@ -34,9 +33,8 @@ BREAKS = 0.5
 """Share of the robots that stay up in training below which a policy counts as broken."""
 
 
-def row_of(result: EnduranceResult) -> Row:
-    """Return the figures of :data:`FIGURES` of an endurance evaluation, and its falls by cause."""
-    metrics = endurance_metrics(result)
+def row_of(metrics: Mapping[str, Any]) -> Row:
+    """Return the figures of :data:`FIGURES` of the metrics of an endurance evaluation, and its falls by cause."""
     causes = {name: cause["falls"] for name, cause in metrics["falls_by_cause"].items()}
     return {**{name: metrics[name] for name in FIGURES}, "falls_by_cause": causes}
 
@@ -105,7 +103,9 @@ def evaluate_robustness(
                 progress=shifted(progress, number * steps, len(conditions) * steps),
                 **ride,
             )
-            row = {**row_of(result), "condition": described, "protocol": _protocol(result)}
+            metrics = endurance_metrics(result)
+            protocol = {name: metrics[name] for name in _PROTOCOL}
+            row = {**row_of(metrics), "condition": described, "protocol": protocol}
         rows.append(row)
         protocol = row["protocol"]
         if save is not None:
@@ -126,15 +126,8 @@ def shifted(progress: Callable[[int, int], None] | None, before: int, total: int
     return None if progress is None else lambda done, _: progress(before + done, total)
 
 
-def _protocol(result: EnduranceResult) -> dict[str, Any]:
-    pushes = result.push_seconds
-    return {
-        "seconds": result.seconds,
-        "command_seconds": result.command_seconds,
-        "settle": result.settle,
-        "push_seconds": None if math.isnan(pushes) else pushes,
-        "commands": {"low": result.bounds[0].tolist(), "high": result.bounds[1].tolist()},
-    }
+_PROTOCOL = ("seconds", "command_seconds", "settle", "push_seconds", "commands")
+"""Figures of a ride that say how it was done."""
 
 
 def robustness_metrics(rows: Sequence[Row], sweeps: Mapping[str, Sweep], protocol: Mapping[str, Any]) -> dict[str, Any]:

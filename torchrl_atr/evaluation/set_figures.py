@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._registry import nearest
+from torchrl_atr._text import split_label
 from torchrl_atr.evaluation.figures import plot_heatmaps
 from torchrl_atr.evaluation.plotting import DASHES, PALETTE, STYLE, Array, save, subplots
 from torchrl_atr.evaluation.report import load_tracking
@@ -44,7 +45,7 @@ def group_runs(given: Iterable[str]) -> dict[str, list[Path]]:
     """
     sets: dict[str, list[Path]] = {}
     for text in given:
-        label, _, folder = text.rpartition("=")
+        label, folder = split_label(text)
         path = Path(folder)
         if not folder or not path.is_dir():
             raise InputError(f"{folder or text!r} is no folder; give RUN or LABEL=RUN, RUN being the folder of a run")

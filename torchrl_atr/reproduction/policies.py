@@ -11,6 +11,7 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 
 from torchrl_atr._errors import InputError
+from torchrl_atr._text import split_label
 from torchrl_atr.deploy.manifest import find_policy, policies
 from torchrl_atr.evaluation.ride import MakeEnv
 from torchrl_atr.modules import ROANetworks, fingerprint
@@ -97,7 +98,7 @@ def load_policies(given: Iterable[str], imports: Sequence[str] = (), option: str
     """
     found: dict[str, RiderPolicy] = {}
     for text in given:
-        pair, _, folder = text.rpartition("=")
+        pair, folder = split_label(text, policies())
         policy = load_rider(folder, imports)
         if pair and pair != policy.name:
             known = "" if pair in PAIRS else f" ({did_you_mean(pair)})"

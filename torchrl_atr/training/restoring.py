@@ -173,7 +173,7 @@ def deployed_weights(learner: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) -> None:
-    """Load trained weights into networks.
+    """Load trained weights into networks, all or none.
 
     Raises:
         CheckpointError: if names or shapes differ, or a number is not finite; its message is one line.
@@ -181,9 +181,11 @@ def load_networks(networks: nn.Module, weights: Mapping[str, Any], run: Path) ->
     for name, value in weights.items():
         if isinstance(value, Tensor) and not torch.isfinite(value).all():
             raise CheckpointError(f"the networks in {run} hold a NaN or infinity in {name}; use an earlier checkpoint")
+    before = copy.deepcopy(networks.state_dict())
     try:
         networks.load_state_dict(dict(weights))
     except Exception as error:  # an estimator's own set_extra_state or hooks may raise anything
+        networks.load_state_dict(before)  # torch has loaded what fits
         lines = [line.strip() for line in str(error).splitlines()[1:]]  # torch's first one names no weight
         culprit = lines[0] if lines and isinstance(error, RuntimeError) else first_line(error)
         raise CheckpointError(

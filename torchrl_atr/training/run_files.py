@@ -15,6 +15,7 @@ from torchrl_atr._files import atomic, naming
 from torchrl_atr.config import TrainConfig
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
+from torchrl_atr.modules import COMMAND_RANGE_FILE
 from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS
 
 MODEL = "model"
@@ -25,6 +26,8 @@ ORIGIN = "run.json"
 """File of a run that holds its provenance."""
 LOG = "progress.csv"
 """File of a run that holds the metrics of every iteration."""
+REPORTS = ("metrics.json", "tracking.npz", "scorecard.json")
+"""Files of what was measured of a run, in it or in a folder for each protocol."""
 DUMPS = "diverged"
 """Folder of a run for the dumps of simulations that failed."""
 
@@ -58,10 +61,11 @@ def keep_files(config: TrainConfig, run: Path, fresh: bool) -> TrainConfig:
 
 
 def clear(run: Path) -> None:
-    """Remove what an earlier run wrote to the folder: two runs' checkpoints and logs must not mix."""
-    for name in (NAME, PREVIOUS, BEST, LOG, "mlflow.db"):
+    """Remove what an earlier run wrote to the folder, and what was measured of it: two runs must not mix."""
+    for name in (NAME, PREVIOUS, BEST, LOG, "mlflow.db", COMMAND_RANGE_FILE, *REPORTS):
         (run / name).unlink(missing_ok=True)
-    for name in ("tensorboard", "wandb", DUMPS):
+    measured = [file.parent.name for file in run.glob(f"*/{REPORTS[0]}")]
+    for name in ("tensorboard", "wandb", DUMPS, *measured):
         shutil.rmtree(run / name, ignore_errors=True)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from torchrl_atr.deploy.manifest import report_home
 from torchrl_atr.evaluation.metrics import mastered_commands
 from torchrl_atr.evaluation.report import load_tracking
 from torchrl_atr.evaluation.tracking import TrackingResult
@@ -68,11 +70,17 @@ def mastered_area(folder: Path, limits: CommandRange | None) -> CommandArea | No
         folder: of the run or bundle.
         limits: range of its commands, if it has one.
     """
-    for name in _TRACKING:
-        if (folder / name).is_file():
+    places = dict.fromkeys((folder, report_home(folder)))  # a bundle's evaluations are beside it
+    for file in (place / name for place in places for name in _TRACKING):
+        if file.is_file():
             try:
-                return CommandArea.of_tracking(load_tracking(folder / name))
-            except (KeyError, ValueError, OSError):  # of an older version, or half written: the range is a good second
+                return CommandArea.of_tracking(load_tracking(file))
+            except (
+                KeyError,
+                ValueError,
+                OSError,
+                zipfile.BadZipFile,
+            ):  # of an older version, or half written: the range is a good second
                 break
     return None if limits is None else CommandArea.of_range(limits)
 

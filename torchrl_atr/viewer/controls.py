@@ -101,7 +101,8 @@ class Controls:
         return lambda: self._loop.post(nudge)
 
     def _add_time(self, session: Session) -> None:
-        pace = self._gui.add_dropdown("Pace", tuple(_RATES), initial_value="real time")
+        now = next((name for name, rate in _RATES.items() if rate == self._loop.rate), "real time")
+        pace = self._gui.add_dropdown("Pace", tuple(_RATES), initial_value=now)
         pace.on_update(lambda _: setattr(self._loop, "rate", _RATES[pace.value]))
         buttons = self._gui.add_button_group("Clock", ("Pause", "Step", "Reset"), hint="keys P, N and R")
         actions = {"Pause": self._loop.toggle_pause, "Step": self._loop.single_step, "Reset": self._reset}
@@ -129,7 +130,8 @@ class Controls:
             label = f"{name.capitalize()}, {_UNITS[name]}" if name in _UNITS else name.capitalize()
             slider = self._gui.add_slider(label, low, high, 0.01, round(min(max(value, low), high), 2))
             self._on_change(slider, self._parameter_setter(name))
-        robots = self._gui.add_slider("Robots", 1, MOST_ROBOTS, 1, session.setup.robots, hint="each with its own body")
+        counts = tuple(str(number) for number in range(1, MOST_ROBOTS + 1))
+        robots = self._gui.add_dropdown("Robots", counts, initial_value=str(session.setup.robots))
         self._on_change(robots, lambda value: lambda session: session.change(robots=int(value)))
         if session.setup.robots > 1:
             names = tuple(str(number + 1) for number in range(session.setup.robots))

@@ -84,6 +84,7 @@ class Panels:
             self._rewards = gui.add_html("")
         with charts.add_tab("Estimates"):
             self._component = gui.add_dropdown("Component", ("-",))
+            self._component.on_update(lambda _: loop.post(lambda session: None))  # drawn anew while paused, too
             self._estimate = Chart(gui, "", ("truth", "estimate"))
             self._estimates = gui.add_html("")
         with charts.add_tab("Power"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import io
 import socket
 import time
@@ -53,10 +54,12 @@ def free_port(host: str, port: int | None) -> int:
                 failure = error
                 continue
             return int(probe.getsockname()[1])
-    if isinstance(failure, socket.gaierror) or failure.errno == 99:  # EADDRNOTAVAIL
-        raise InputError(f"{host} is not an address of this machine; leave out --host, or give 0.0.0.0 for all of them")
+    if isinstance(failure, socket.gaierror) or failure.errno == errno.EADDRNOTAVAIL:
+        text = "is not an IPv4 address of this machine; leave out --host, or give 0.0.0.0 for all of them"
+        raise InputError(f"{host} {text}")
     asked = f"port {port}" if port is not None else f"every port from {PORT} to {PORT + _TRIED - 1}"
-    raise InputError(f"{asked} is in use ({failure.strerror}); give another one with --port, or --port 0 for any")
+    why = "in use" if failure.errno == errno.EADDRINUSE else "refused"
+    raise InputError(f"{asked} is {why} ({failure.strerror}); give another one with --port, or --port 0 for any")
 
 
 @contextmanager
@@ -87,13 +90,11 @@ def viser_server(host: str = LOCAL, port: int | None = None) -> Iterator[ViserSe
 
 
 def _import_viser() -> Any:
-    for name in ("viser", "mjviser"):
-        try:
-            module = __import__(name)
-        except ImportError as error:
-            raise MissingPackageError(name, "viewer") from error
-        if name == "viser":
-            viser = module
+    try:
+        import mjviser  # noqa: F401
+        import viser
+    except ImportError as error:
+        raise MissingPackageError(error.name or "viser", "viewer") from error
     return viser
 
 

@@ -134,8 +134,9 @@ class Session:
         if setup == self.setup:
             return
         if setup == dataclasses.replace(self.setup, source=setup.source):
+            policy = self.networks.deployed_policy(setup.source)
             self.setup = setup
-            self._choose_policy()
+            self._use(policy)
             if any(self._td.get(key, None) is None for key in self._policy.in_keys):  # a memory begins with an episode
                 self._td = self._begin()
             return
@@ -150,6 +151,7 @@ class Session:
         written = stamp(setup.policy, setup.checkpoint)
         checkpoint = checkpoint_file(setup.checkpoint)
         config, env, networks, state = load_run(setup.policy, checkpoint, setup.imports, **overrides)
+        policy = networks.deployed_policy(setup.source)  # a teacher has none that acts on estimates
         self.setup, self.config, self.networks, self._stamp = setup, config, networks, written
         self.frames = int(state.get("frames", 0))
         self.area: CommandArea | None = mastered_area(setup.policy, networks.command_range)
@@ -165,14 +167,13 @@ class Session:
         self.followed = min(self.followed, setup.robots - 1)
         self.lowest, self.highest = command_limits(env, tuple(self._owner.grid.bounds))
         self.builds += 1
-        self._choose_policy()
+        self._use(policy)
         self.reset()
 
-    def _choose_policy(self) -> None:
-        networks = self.networks
+    def _use(self, policy: TensorDictModuleBase) -> None:
+        self._policy = policy  # commands are clipped to its range in either case
         truth = self.setup.source == "privileged"
-        self._policy = networks.deployed_policy(self.setup.source)  # commands are clipped to its range in either case
-        self._estimator = networks.extrinsic_estimator_module if truth else None
+        self._estimator = self.networks.extrinsic_estimator_module if truth else None
         self.env = with_state(self.env, self._policy)
 
     @property

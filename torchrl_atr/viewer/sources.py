@@ -33,7 +33,7 @@ def ridable(given: Path | None = None, runs: Path = RUNS) -> dict[str, Path]:
     if given is not None:
         name = next((name for name, folder in installed.items() if folder == given), given.as_posix())
         found[name] = given
-    found |= installed
+    found |= {name: folder for name, folder in installed.items() if name not in found}
     folders = [folder for folder in runs.iterdir() if (folder / NAME).is_file()] if runs.is_dir() else []
     for folder in sorted(folders, key=lambda folder: -(folder / NAME).stat().st_mtime):
         if given is None or folder.resolve() != given.resolve():

@@ -34,6 +34,11 @@ class PerEpisode(Generic[T]):
         """Set the value of episodes that begin from now on."""
         self._values.append(value)
 
+    @property
+    def latest(self) -> T:
+        """Value that was set last."""
+        return self._values[-1]
+
     def begin(self, rows: Tensor) -> None:
         """Begin episodes of ``rows``, (n,) integers, with the value that was set last."""
         if len(self._values) > 1:

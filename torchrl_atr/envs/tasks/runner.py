@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
@@ -9,6 +11,7 @@ from torchrl_atr._checks import check_choice, check_flag, check_number
 from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.physics.engine import Engine
+from torchrl_atr.envs.tasks.events import Disturbance
 from torchrl_atr.envs.tasks.finite import as_float32, bad_rows
 from torchrl_atr.envs.tasks.intrinsic_parameters import RANDOMIZATIONS, Intrinsics, Randomization
 from torchrl_atr.envs.tasks.memory_terms import MemoryTermError
@@ -154,6 +157,11 @@ class EpisodeRunner:
         self._disturb()
         self._action = single.clone()  # callers reuse their buffers
         self.engine.command(self._nominal + self.scene.robot.action_scale * self._action)
+
+    @property
+    def disturbances(self) -> Mapping[str, Disturbance]:
+        """Disturbances of episodes that begin from now on, by name."""
+        return self._disturbances.latest
 
     def _disturb(self) -> None:
         for disturbances, rows in self._disturbances:

@@ -232,10 +232,10 @@ class CommandCurriculum(OwnGenerator):
 
     @keeps_normal_tensors
     def clone(self) -> CommandCurriculum:
-        """Return a copy without parent, with its own generator and state."""
+        """Return a copy without parent, with its own generator, limits and state."""
         other = super().clone()
-        other._generator = torch.Generator()
-        other._generator.set_state(self._generator.get_state())
+        other.limits = CommandLimits(self.grid)
+        other.limits.part = self.limits.part
         other.weights = self.weights.clone()
         other.rows = CommandRows()
         other.rows.set_extra_state(self.rows.get_extra_state())

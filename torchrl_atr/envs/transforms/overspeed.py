@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.envs.transforms import TerminateTransform
+from torchrl.envs import EnvBase
+from torchrl.envs.transforms import TerminateTransform, Transform
 
 from torchrl_atr._checks import check_key, check_keys, check_kind, check_number, check_pair
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
@@ -54,6 +55,13 @@ class OverspeedTermination(TerminateTransform):
         self.penalty = check_number("penalty", penalty)
         self.reward_keys = tuple(check_keys("reward_keys", reward_keys))
         self._curriculum = [curriculum]  # in a list: a part of the stack, not a submodule of this transform
+
+    def set_container(self, container: Transform | EnvBase) -> None:
+        """Attach to a stack or an env; in the clone of a stack the curriculum is that of the clone."""
+        super().set_container(container)
+        found = [part for part in getattr(container, "transforms", ()) if isinstance(part, CommandCurriculum)]
+        if found and all(part is not self._curriculum[0] for part in found):
+            self._curriculum = found[-1:]
 
     def too_fast(self, next_tensordict: TensorDictBase) -> Tensor:
         """Return the rows beyond the frontier and the margin, bool ``(*B, 1)``."""

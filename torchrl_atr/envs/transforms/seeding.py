@@ -76,6 +76,13 @@ class OwnGenerator(Transform):
         if self._seen is _UNKNOWN and env is not None:
             self._seen = env_seeding(env)
 
+    def clone(self) -> OwnGenerator:
+        """Return a copy without parent, with a generator of its own in the same state."""
+        other = super().clone()
+        other._generator = torch.Generator()
+        other._generator.set_state(self._generator.get_state())
+        return other
+
     def _source(self) -> torch.Generator:
         """Return the generator, restarted if the env was seeded since it was last used."""
         now = env_seeding(env_around(self))

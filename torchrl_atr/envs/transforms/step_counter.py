@@ -91,7 +91,6 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
         tensordict_reset = super()._reset(tensordict, tensordict_reset)
         for reset_key, count_key in zip(self.reset_keys, self.step_count_keys, strict=True):
             if tensordict.get(reset_key, None) is None:
-                self._steps = 0
                 count = tensordict_reset.get(count_key)
                 drawn = torch.randint(self.limit, count.shape, generator=self._source())  # on the CPU, always
                 tensordict_reset.set(count_key, drawn.to(count))
@@ -123,7 +122,7 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
             self.max_steps = final
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Return the env's steps since its last full reset, and the generator's state."""
+        """Return the env's steps since its first reset, and the generator's state."""
         short = {} if self._short is None else {"short": self._short.clone()}
         return {"steps": self._steps, "generator": self._generator.get_state(), **short}
 
