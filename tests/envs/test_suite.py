@@ -142,7 +142,7 @@ def test_divergence_ends_the_episode_instead_of_the_program(task, value):
         step = environment.step(np.zeros(12))
         assert step.last()
         assert step.discount == 0.0
-        assert np.isfinite(step.reward)
+        assert step.reward == pytest.approx(environment.task.runner.terms.rewards.termination_cost)  # as QuadrupedEnv's
         assert all(np.isfinite(array).all() for array in step.observation.values())
 
 

@@ -227,25 +227,13 @@ class QuadrupedEnv(Reconfigurable, EnvBase):
             self._recorder.note(action)
         self.engine.advance()
         outcome = self.runner.evaluate_step(command)
+        self._report_failed(outcome)
         self._emitted = outcome.observed
-        self._terminate_failed(outcome)
         return self._pack(outcome.terminated, outcome.terms, reward=outcome.reward)
 
-    def _terminate_failed(self, outcome: StepOutcome) -> None:
-        """End the episodes of robots that failed; set observations that are not finite to zero."""
-        failed = dict.fromkeys(self.engine.diverged.nonzero().squeeze(-1).tolist(), "its simulation diverged")
-        if not outcome.finite:
-            terms = {("reward_terms", name): term for name, term in outcome.terms.items()}
-            unnumbered = not_finite({**self._emitted, **terms, "reward": outcome.reward})
-            failed |= {row: f"{name!r} is not finite" for row, name in unnumbered.items()}
-        if not failed:
-            return
-        rows = list(failed)
-        for key, value in self._emitted.items():
-            self._emitted[key] = value.clone()  # some are views of the runner's own
-            self._emitted[key][rows] = value[rows].nan_to_num(0.0, 0.0, 0.0)
-        self.runner.terminate_failed(rows, outcome)
-        for row, reason in failed.items():
+    def _report_failed(self, outcome: StepOutcome) -> None:
+        """End the episodes of robots that failed, count and log them."""
+        for row, reason in self.runner.contain(outcome).items():
             self.runner.num_diverged += 1
             if self.runner.num_diverged <= _LOGGED:
                 hint = "" if self._recorder is None else self._recorder.dump(row, reason)

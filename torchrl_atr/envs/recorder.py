@@ -40,7 +40,8 @@ class FlightRecorder:
 
     def __init__(self, runner: EpisodeRunner, scene: dict[str, Any], folder: Path, length: int = LENGTH) -> None:
         self.runner, self.folder, self.length = runner, folder, length
-        self.scene = {**scene, **{name: _portable(scene[name], folder) for name in COPIES if name in scene}}
+        portable = {name: _portable(scene[name], folder) for name in COPIES if name in scene}
+        self.scene = {**scene, **portable, "action_delay": runner.engine.action_delay}
         self._rings = {name: value.new_zeros(length, *value.shape) for name, value in runner.engine.live_state.items()}
         self._actions = torch.zeros(length, *runner.previous_action.shape, dtype=torch.float32)
         self._noted = 0

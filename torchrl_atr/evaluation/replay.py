@@ -15,7 +15,7 @@ from torchrl_atr._files import atomic
 from torchrl_atr._registry import UnknownNameError
 from torchrl_atr.envs import Interpretation, QuadrupedEnv, make_task
 from torchrl_atr.envs.models.identity import describe, differences, first_few
-from torchrl_atr.envs.physics import CONTROL_DT
+from torchrl_atr.envs.physics import CONTROL_DT, Simulation
 from torchrl_atr.envs.recorder import load_dump
 from torchrl_atr.envs.tasks import TASKS
 from torchrl_atr.evaluation.rendering import OffscreenRenderer
@@ -87,12 +87,13 @@ def _scene(dump: dict[str, Any], path: Path) -> QuadrupedEnv:
     except (KeyError, TypeError) as error:
         raise InputError(f"{path} was written by another version ({error}); replay it with that one") from error
     try:
-        arguments = {name: scene[name] for name in scene.keys() - {"task", "interpretation", "model"}}
+        arguments = {name: scene[name] for name in scene.keys() - {"task", "interpretation", "model", "action_delay"}}
         name = scene.get("task", "riding")
         if "profile" in inspect.signature(TASKS.get(name)).parameters:
             arguments["profile"] = interpretation
         task = make_task(name, **arguments)
-        env = QuadrupedEnv(task, num_envs=1, randomization="off", num_threads=1, seed=0)
+        physics = Simulation(action_delay=scene.get("action_delay", 0.0))
+        env = QuadrupedEnv(task, num_envs=1, randomization="off", physics=physics, num_threads=1, seed=0)
     except UnknownNameError as error:
         raise InputError(f"{path}: {error}; if a module of yours registers it, give that with --import") from error
     changed = differences(scene["model"], describe(env.scene))

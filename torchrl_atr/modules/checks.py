@@ -21,7 +21,8 @@ from torchrl_atr.modules.estimators import (
     get_estimator,
     require,
 )
-from torchrl_atr.modules.tensordict_checks import check_copy, check_module
+from torchrl_atr.modules.estimators.tensordict_module import WindowModule
+from torchrl_atr.modules.tensordict_checks import check_module
 
 
 def check_estimator(
@@ -79,10 +80,9 @@ def check_for(factory: EstimatorFactory, spec: EstimatorSpec, **kwargs: Any) -> 
         net, twin = (build_estimator(factory, spec, **kwargs) for _ in range(2))
         try:
             _require_shapes(net)
-            if isinstance(net, TensorDictModuleBase) and isinstance(twin, TensorDictModuleBase):
-                check_module(net, twin, spec)
-            else:
-                _check_all(net, twin, spec.window_shape, spec.out_features)
+            if not isinstance(net, TensorDictModuleBase):
+                _check_window(net, spec.window_shape, spec.out_features)
+            check_module(_as_module(net, spec), _as_module(twin, spec), spec)
         except EstimatorError:
             raise
         except Exception as error:  # of the user's own code
@@ -120,21 +120,16 @@ def _require_shapes(net: nn.Module) -> None:
     require(not lazy, "module", f"{', '.join(lazy[:2])} has no shape until it is used; give all sizes in the factory.")
 
 
-def _check_all(net: nn.Module, twin: nn.Module, history_shape: tuple[int, int], out_features: int) -> None:
+def _as_module(net: nn.Module, spec: EstimatorSpec) -> TensorDictModuleBase:
+    return net if isinstance(net, TensorDictModuleBase) else WindowModule(net, spec)
+
+
+def _check_window(net: nn.Module, history_shape: tuple[int, int], out_features: int) -> None:
+    """Check what a network of histories alone must do; the rest is checked as of any TensorDict module."""
     net.eval()
-    twin.eval()
-    _check_outputs(net, history_shape, out_features)
-    history = torch.randn(6, *history_shape)
-    _check_behaviour(net, history)
-    _check_gradients(net, history)
-    _check_training(net, history)
-    _check_state_dict(net, twin, history)
-    check_copy(net, lambda each: each(history), torch.equal)
-
-
-def _check_outputs(net: nn.Module, history_shape: tuple[int, int], out_features: int) -> None:
     for batch in ((), (3,), (2, 3)):
         history = torch.randn(*batch, *history_shape)
+        before = history.clone()
         try:
             out = net(history)
         except Exception as error:
@@ -150,101 +145,5 @@ def _check_outputs(net: nn.Module, history_shape: tuple[int, int], out_features:
             "shape",
             f"a history of shape {tuple(history.shape)} gave {tuple(out.shape)}; return {expected}.",
         )
-        require(
-            out.dtype == history.dtype,
-            "dtype",
-            f"{history.dtype} in, {out.dtype} out; keep the dtype of the input.",
-        )
-        require(bool(out.isfinite().all()), "finite", "a standard normal history gave a non-finite output.")
-
-
-def _check_behaviour(net: nn.Module, history: Tensor) -> None:
-    before = history.clone()
-    try:
-        out = net(history)
-    except Exception as error:  # another batch with the same number of dimensions has passed
-        raise failure(
-            "deterministic",
-            f"after other batches a history of shape {tuple(history.shape)} raised {type(error).__name__}: "
-            f"{first_line(error)}. Keep no state between calls, and count on no size of the batch.",
-        ) from error
-    require(
-        torch.equal(history, before),
-        "input unchanged",
-        "forward modified its input in place; work on a copy.",
-    )
-    require(
-        torch.equal(net(history), out),
-        "deterministic",
-        "two calls in eval mode differ; keep no state between calls and no noise in eval mode.",
-    )
-    changed = history.clone()
-    changed[1:] = torch.randn_like(changed[1:])
-    require(
-        torch.allclose(net(changed)[0], out[0], rtol=1e-4, atol=1e-5),
-        "independent rows",
-        "a row's output depends on other rows; normalise over features, not over the batch.",
-    )
-
-
-def _check_gradients(net: nn.Module, history: Tensor) -> None:
-    net.zero_grad()
-    out = net(history)
-    require(
-        out.requires_grad,
-        "gradients",
-        "the output carries no gradient; do not detach or run under no_grad, and have a trainable parameter.",
-    )
-    out.square().sum().backward()
-    dead = [
-        name
-        for name, parameter in net.named_parameters()
-        if parameter.requires_grad and (parameter.grad is None or not parameter.grad.isfinite().all())
-    ]
-    require(
-        not dead,
-        "gradients",
-        f"no finite gradient reaches {', '.join(dead)}; use these parameters or remove them.",
-    )
-    trainable = [parameter.grad for parameter in net.parameters() if parameter.requires_grad]
-    require(
-        any(bool(grad.abs().sum() > 0) for grad in trainable if grad is not None),
-        "gradients",
-        "no parameter gets a non-zero gradient; do not detach or run under no_grad.",
-    )
-    net.zero_grad()
-
-
-def _check_training(net: nn.Module, history: Tensor) -> None:
-    """Check two steps in training mode on the same batch with the same random numbers; then restore the state."""
-    before = {name: value.detach().clone() for name, value in net.state_dict().items() if isinstance(value, Tensor)}
-    net.train()
-    outputs = []
-    for _ in range(2):
-        torch.manual_seed(1)
-        outputs.append(net(history))
-        try:
-            outputs[-1].square().sum().backward()
-        except RuntimeError as error:
-            raise failure(
-                "training",
-                f"the backward pass of step {len(outputs)} raised {type(error).__name__}: {first_line(error)}. Keep no "
-                "state between calls, and modify nothing in place that a gradient needs.",
-            ) from error
-    require(
-        torch.allclose(outputs[0], outputs[1], rtol=1e-4, atol=1e-5),
-        "training",
-        "two calls in training mode with the same input and random seed differ; keep no state between calls.",
-    )
-    net.zero_grad()
-    net.load_state_dict(before, strict=False)  # running statistics have moved
-    net.eval()
-
-
-def _check_state_dict(net: nn.Module, twin: nn.Module, history: Tensor) -> None:
-    twin.load_state_dict(net.state_dict())
-    require(
-        torch.equal(twin(history), net(history)),
-        "state_dict",
-        "a second instance with the same state_dict gives other outputs; register all state as parameters or buffers.",
-    )
+        unchanged = torch.equal(history, before)
+        require(unchanged, "input unchanged", "forward modified its input in place; work on a copy.")

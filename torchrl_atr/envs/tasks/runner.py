@@ -12,7 +12,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.events import Disturbance
-from torchrl_atr.envs.tasks.finite import as_float32, bad_rows
+from torchrl_atr.envs.tasks.finite import as_float32, bad_rows, not_finite
 from torchrl_atr.envs.tasks.intrinsic_parameters import RANDOMIZATIONS, Intrinsics, Randomization
 from torchrl_atr.envs.tasks.memory_terms import MemoryTermError
 from torchrl_atr.envs.tasks.per_episode import PerEpisode
@@ -208,13 +208,31 @@ class EpisodeRunner:
         outcome.observed["moving_start"] = self.moving.unsqueeze(-1)
         return outcome
 
-    def terminate_failed(self, rows: list[int], outcome: StepOutcome) -> None:
-        """End the episodes of ``rows``, whose steps cannot be scored: their reward is the cost of termination alone.
+    def contain(self, outcome: StepOutcome) -> dict[int, str]:
+        """End the episodes of robots whose simulation, observation or reward failed in a step.
+
+        Their reward is the cost of termination alone, and observations that are not finite become zero.
 
         Args:
-            rows: which robots.
             outcome: of the step, changed in place.
+
+        Returns:
+            The reason by robot.
         """
+        failed = dict.fromkeys(self.engine.diverged.nonzero().squeeze(-1).tolist(), "its simulation diverged")
+        if not outcome.finite:
+            terms = {("reward_terms", name): term for name, term in outcome.terms.items()}
+            unnumbered = not_finite({**outcome.observed, **terms, "reward": outcome.reward})
+            failed |= {row: f"{name!r} is not finite" for row, name in unnumbered.items()}
+        if failed:
+            rows = list(failed)
+            for key, value in outcome.observed.items():
+                outcome.observed[key] = value.clone()  # some are views of the runner's own
+                outcome.observed[key][rows] = value[rows].nan_to_num(0.0, 0.0, 0.0)
+            self._terminate(rows, outcome)
+        return failed
+
+    def _terminate(self, rows: list[int], outcome: StepOutcome) -> None:
         for term in outcome.terms.values():
             term[rows] = 0.0
         outcome.reward[rows] = self.terms.rewards.termination_cost

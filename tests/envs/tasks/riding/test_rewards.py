@@ -110,6 +110,17 @@ def test_alignment_is_of_the_centre_of_mass_or_of_the_trunks_origin(make_context
         assert RIDING_REWARDS["position_alignment"](context)[0].item() == pytest.approx(expected, rel=1e-6)
 
 
+def test_a_rider_who_moves_with_the_board_is_aligned_at_any_speed():
+    """The centre of mass is known at the start of the last substep, 5 ms and 25 mm before the board's position."""
+    env = RidingEnv(num_envs=1, seed=0, randomization="off", pushes=False, num_threads=1)
+    td, state, layout = env.reset(), env.get_state(), env.scene.layout
+    state["qvel"][:, layout.root_dof] = state["qvel"][:, env.scene.support_layout.planar_dof[0]] = 5.0
+    state["speeds"][:, 0] = 5.0
+    env.set_state(state)
+    terms = env.step(td.set("action", torch.zeros(1, 12)))["next", "reward_terms"]
+    assert abs(terms["position_alignment"].item()) < 0.02 * 30.0 * 0.003
+
+
 def test_polygon_of_the_feet_in_contact():
     feet = torch.tensor([[0.2, -0.1], [-0.2, -0.1], [0.2, 0.1], [-0.2, 0.1]]).expand(5, 4, 2)  # FR, RR, FL, RL
     point = torch.tensor([0.1, 0.06]).expand(5, 2)  # towards FL, just left of the diagonal RR-FL
