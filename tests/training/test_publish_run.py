@@ -37,7 +37,7 @@ def test_its_evaluations_go_with_it_and_make_its_scorecard(tmp_path):
     assert publish_run.main([str(run), str(published)]) == 0
     assert {file.name for file in (published / "endurance").iterdir()} == {"metrics.json", "endurance.png"}
     card = json.loads((published / "scorecard.json").read_text())
-    assert card["command"] == f"python -m benchmarks.scorecard {published} --seed 5"
+    assert card["command"] == f"python -m benchmarks.scorecard {published} --seed 5 --rows endurance"
     assert card["evaluations"].keys() == {"endurance"}
 
 

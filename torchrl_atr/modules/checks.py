@@ -88,7 +88,8 @@ def check_for(factory: EstimatorFactory, spec: EstimatorSpec, **kwargs: Any) -> 
         except Exception as error:  # of the user's own code
             raise failure(
                 "run",
-                f"it raised {type(error).__name__}: {first_line(error)}. Correct its forward pass.",
+                f"it raised {type(error).__name__}: {first_line(error)}. Correct its forward pass, and keep no "
+                "state between calls.",
             ) from error
 
 

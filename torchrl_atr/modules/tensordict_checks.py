@@ -184,6 +184,8 @@ def _check_losses(module: EstimatorModule, samples: _Samples) -> None:
         _check_terms(losses, data.batch_size)
         terms = [out.get(key).square().mean() for key in out.keys(True, True) if key[0] != "next"]
         total = torch.stack([*terms, *(loss.mean() for loss in losses.values())]).sum()
+        text = "the output carries no gradient; do not detach or run under no_grad, and have a trainable parameter."
+        require(total.requires_grad, "gradients", text)
         try:
             module.zero_grad()
             total.backward()

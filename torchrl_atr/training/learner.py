@@ -68,9 +68,7 @@ class Learner:
         self._update = config.roa.policy_update
         self.teacher = Teacher(networks) if self._update == "imitation" else None
         estimators = networks.intrinsic_estimator_module, networks.extrinsic_estimator_module
-        stateful = [each is not None and bool(state_keys(each)) for each in estimators]
-        self._latent_recorded = config.roa.act_source != "privileged" or stateful[0]  # by the rollout
-        self._on_sequences = any(stateful)  # what the estimators are trained on
+        self._on_sequences = any(state_keys(each) for each in estimators if each is not None)  # they learn from these
         self.reward_schedule, self.callbacks = dict(reward_schedule or {}), callbacks or Callbacks()
         critic = networks.critic_module
         self.advantage = GAE(
@@ -174,7 +172,8 @@ class Learner:
         if self.teacher is not None:
             self.teacher.label(flat, self.minibatch_size)
         module: Any = self.networks.intrinsic_estimator_module
-        if self._update == "ppo" and module is not None and not self._latent_recorded:
+        recorded = self.config.roa.act_source != "privileged" or (module is not None and state_keys(module))
+        if self._update == "ppo" and module is not None and not recorded:
             record_output(module, flat, self.minibatch_size, module.out_keys[0])
 
     def _shuffled(self, flat: TensorDictBase) -> TensorDictBase:
@@ -205,9 +204,7 @@ class Learner:
         size = self.minibatch_size if shuffled.ndim == 1 else -(-len(shuffled) // self.config.ppo.minibatches)
         minibatches = shuffled.select(*self._read[phase], strict=False).split(size)
         step, through = self._steps[phase], self.callbacks.through
-        return torch.stack(
-            [step(through("on_minibatch", minibatch, phase)) for _ in range(epochs) for minibatch in minibatches]
-        )
+        return torch.stack([step(through("on_minibatch", each, phase)) for _ in range(epochs) for each in minibatches])
 
     def _policy_step(self, minibatch: TensorDictBase) -> TensorDictBase:
         """Adapt the rate to the divergence from the policy that collected the batch; step unless it is too large.

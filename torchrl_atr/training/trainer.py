@@ -132,7 +132,6 @@ class Trainer:
             self._restore(state)
         elif other is not None:
             self._begin_from(other)
-        self.learner.anneal(self.progress_made)
         title = self.parts.names.get("make_env", config.title)
         self.progress = Progress(self.run, config, None if state is None else self.frames, logger, title)
 
@@ -185,6 +184,7 @@ class Trainer:
     @cached_property
     def collection(self) -> Collection:
         """Source of batches; workers start when it is first used, and end with :meth:`train`."""
+        self.learner.anneal(self.progress_made)
         policy = make_policy(self.config, self.learner.networks)
         collection = Collection(self.config, self.env, self._env_maker, policy, self.iteration)
         if self._carried:

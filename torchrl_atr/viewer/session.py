@@ -167,6 +167,8 @@ class Session:
         self.followed = min(self.followed, setup.robots - 1)
         self.lowest, self.highest = command_limits(env, tuple(self._owner.grid.bounds))
         self.builds += 1
+        most = self.limits  # a command of before may be beyond them
+        self.command = tuple(max(-end, min(end, asked)) for asked, end in zip(self.command, most))  # type: ignore[assignment]
         self._use(policy)
         self.reset()
 
