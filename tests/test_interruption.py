@@ -193,6 +193,22 @@ over = True
 """
 
 
+def test_a_signal_while_an_import_lock_is_collected_stops_the_import_afterwards(untraced):
+    """Python ignores and prints what such a callback raises."""
+    done, source = [], "def cb():\n    signal.raise_signal(signal.SIGTERM)\n    done.append('cb')\n"
+    names = {"signal": signal, "done": done}
+    exec(compile(source, "<frozen importlib._bootstrap>", "exec"), names)
+
+    def imports():
+        with Interrupt():
+            names["cb"]()
+            done.append("the import")
+
+    with pytest.raises(Stopped):
+        imports()
+    assert done == ["cb"]
+
+
 def _import(name):
     importlib.import_module(name)
     time.sleep(5.0)

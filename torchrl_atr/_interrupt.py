@@ -102,13 +102,15 @@ class Interrupt:
         if self._importer is not None and sys.gettrace() is None:  # else a debugger's
             self._importer.f_trace = stop
             sys.settrace(lambda *call: None)
+            if frame is not None and frame.f_code.co_name == "cb" and _is_importlib(frame):
+                return  # a lock is collected: Python would print the error, and go on
         stop()
 
     def _find_importer(self, frame: FrameType | None) -> FrameType | None:
         """Return the frame of this part of the program that is in the middle of an import, if one is."""
         found, inner = None, False
         while frame is not None and frame is not self._home:
-            within = frame.f_code.co_filename.startswith("<frozen importlib")
+            within = _is_importlib(frame)
             if inner and not within:
                 found = frame
             frame, inner = frame.f_back, within
@@ -120,6 +122,10 @@ class Interrupt:
             self._importer.f_trace = None
             sys.settrace(None)
         self._importer = None
+
+
+def _is_importlib(frame: FrameType) -> bool:
+    return frame.f_code.co_filename.startswith("<frozen importlib")
 
 
 @contextmanager
