@@ -173,7 +173,7 @@ class ROAClipPPOLoss(ExtensibleClipPPOLoss):
         return [key for network in networks for key in [*network.in_keys, *getattr(network, "loss_in_keys", ())]]
 
     def further_out_keys(self) -> list[NestedKey]:
-        """Return the regression terms and their diagnostics, and ``loss_smoothness`` where it counts."""
+        """Return regression terms, errors and ``loss_smoothness``; no calibrations, no losses of estimators' own."""
         ours = ["loss_intrinsic", "loss_roa", "latent_error"] * self._reads_latent
         ours += ["loss_extrinsic", "extrinsic_error"] * self._reads_extrinsic
         return [*ours, *["loss_smoothness"] * self._smooth]
