@@ -1,4 +1,4 @@
-"""What the trips of Figure 5 are of: policies that ride or walk, and the groups of robots that share paths."""
+"""Policies of Figure 5's trips, and groups of robots that share paths and speed."""
 
 from __future__ import annotations
 
