@@ -27,8 +27,8 @@ def body_speed(session):
 def test_a_command_is_approached_from_the_next_step_and_clipped_to_the_grid(session):
     session.steer(0.8, -0.4)
     session.step()
-    assert session.step().command == pytest.approx([0.06, -0.03])  # 3 m/s² and 1.5 rad/s²
-    for _ in range(13):
+    assert session.step().command == pytest.approx([0.03, -0.01])  # 1.5 m/s² and 0.5 rad/s²
+    for _ in range(39):
         reading = session.step()
     assert reading.command == pytest.approx([0.8, -0.4])
     session.steer(1e3, -1e3)

@@ -107,7 +107,7 @@ class Session:
         >>> session = Session(Setup(run))
         >>> session.steer(0.5, 0.1)
         >>> [session.step().command.round(3).tolist() for _ in range(3)]  # approached after a step
-        [[0.0, 0.0], [0.06, 0.03], [0.12, 0.06]]
+        [[0.0, 0.0], [0.03, 0.01], [0.06, 0.02]]
     """
 
     setup: Setup
