@@ -88,8 +88,7 @@ def check_for(factory: EstimatorFactory, spec: EstimatorSpec, **kwargs: Any) -> 
         except Exception as error:  # of the user's own code
             raise failure(
                 "run",
-                f"it raised {type(error).__name__}: {first_line(error)}. Correct its forward pass, and keep no "
-                "state between calls.",
+                f"it raised {type(error).__name__}: {first_line(error)}. Correct its forward pass.",
             ) from error
 
 
@@ -148,3 +147,12 @@ def _check_window(net: nn.Module, history_shape: tuple[int, int], out_features: 
         )
         unchanged = torch.equal(history, before)
         require(unchanged, "input unchanged", "forward modified its input in place; work on a copy.")
+    another = torch.randn(6, *history_shape)
+    try:
+        net(another)
+    except Exception as error:  # another batch with the same number of dimensions has passed
+        raise failure(
+            "deterministic",
+            f"after other batches a history of shape {tuple(another.shape)} raised {type(error).__name__}: "
+            f"{first_line(error)}. Keep no state between calls, and count on no size of the batch.",
+        ) from error

@@ -111,7 +111,7 @@ def _check_outputs(module: EstimatorModule, data: TensorDictBase, spec: Estimato
             expected = (*data.batch_size, sizes[key])
             require(tuple(value.shape) == expected, "shape", f"{key!r} is {tuple(value.shape)}; write {expected}.")
         require(value.dtype == torch.get_default_dtype(), "dtype", f"{key!r} is {value.dtype}; keep the inputs' dtype.")
-        require(bool(value.isfinite().all()), "finite", f"a standard normal input gave a non-finite {key!r}.")
+        require(bool(value.isfinite().all()), "finite", f"a standard normal input gave a non-finite output, {key!r}.")
         if key in spec.scale_keys:
             require(
                 bool((value > 0).all()), "scale", f"{key!r} is not positive; use NormalParamExtractor, or softplus."
