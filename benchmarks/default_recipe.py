@@ -15,7 +15,6 @@ from statistics import median
 from typing import Any
 
 from benchmarks import results
-from benchmarks.every_pair import train
 from torchrl_atr._files import say, write_json
 from torchrl_atr.evaluation import evaluate_tracking, tracking_metrics
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_config, make_env
@@ -97,7 +96,7 @@ def _train_all(arguments: argparse.Namespace) -> None:
         results.refuse_other_settings(config, run)
     for run, config in configs.items():
         if not (run / EVALUATION).is_file():
-            train(config, run)
+            results.train(config, run)
             write_json(run / EVALUATION, evaluate(run))
         say(f"{run}: {(run / EVALUATION).read_text(encoding='utf-8')}")
     seeds = " ".join(map(str, arguments.seeds))

@@ -14,7 +14,16 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, prepare_output, say, write_json
 from torchrl_atr._interrupt import Interrupt, Stopped
 from torchrl_atr.config.nested import flat
-from torchrl_atr.training import ConfigError, TrainConfig, make_config, parse_settings, read_config
+from torchrl_atr.training import (
+    ConfigError,
+    TrainConfig,
+    Trainer,
+    load_checkpoint,
+    make_config,
+    parse_settings,
+    read_config,
+)
+from torchrl_atr.training.checkpoint import NAME as CHECKPOINT
 from torchrl_atr.training.provenance import cores
 from torchrl_atr.training.run_files import CONFIG
 
@@ -71,6 +80,19 @@ def parse_overrides(texts: list[str]) -> dict[str, Any]:
         if "=" not in text:
             raise ConfigError(f"--set {text!r}: write it as KEY=VALUE, such as --set ppo.gamma=0.99")
     return parse_settings(dict(text.split("=", 1) for text in texts))
+
+
+def train(config: TrainConfig, folder: Path) -> None:
+    """Train to the end of the run, from the checkpoint if there is one.
+
+    Raises:
+        KeyboardInterrupt: if training was stopped.
+    """
+    trainer = Trainer(config, folder, load_checkpoint(folder) if (folder / CHECKPOINT).is_file() else None)
+    if not trainer.finished:
+        trainer.train()
+    if not trainer.finished:
+        raise KeyboardInterrupt
 
 
 def refuse_other_settings(config: TrainConfig, folder: Path, free: Sequence[str] = ()) -> None:

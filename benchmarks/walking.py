@@ -20,7 +20,6 @@ from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
 from benchmarks import results
-from benchmarks.every_pair import train
 from torchrl_atr._files import say, write_json
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks.state import GRAVITY
@@ -191,7 +190,7 @@ def _measure(arguments: argparse.Namespace) -> None:
     config = make_config({"task.name": "walking", **settings, "compute.compiled": True})
     results.refuse_other_settings(config, arguments.run)
     if not (arguments.run / EVALUATION).is_file():
-        train(config, arguments.run)
+        results.train(config, arguments.run)
         write_json(arguments.run / EVALUATION, evaluate(arguments.run))
     figures = json.loads((arguments.run / EVALUATION).read_text(encoding="utf-8"))
     command = (

@@ -18,14 +18,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks import results, scorecard
-from benchmarks.every_pair import PAIRS, train
 from torchrl_atr._files import say
 from torchrl_atr.deploy.card import figures, read_report
 from torchrl_atr.deploy.manifest import MANIFEST, POLICY, BundleError, is_bundle, read_manifest
+from torchrl_atr.envs import ROBOTS
+from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 from torchrl_atr.evaluation.intervals import share_text, wilson
 from torchrl_atr.training import TrainConfig, make_config
 from torchrl_atr.training.provenance import cores, machine
 
+PAIRS = tuple(f"{robot}:{transporter}" for robot in ROBOTS.names() for transporter in TRANSPORTER_DESIGNS)
 AREA = "area-5x1"
 """Row of the scorecard from which the mastered range of commands is taken."""
 _QUICK_RIDE = ("--robots", "2", "--seconds", "2.1", "--command-seconds", "2.1")
@@ -89,7 +91,7 @@ class Step(NamedTuple):
 
 
 def _train(pair: Pair) -> None:
-    train(pair.config, pair.run)
+    results.train(pair.config, pair.run)
 
 
 def _measure(pair: Pair) -> None:
