@@ -10,6 +10,7 @@ import viser
 import zstandard
 from viser import _messages
 from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 
 class Browser:
@@ -41,7 +42,7 @@ class Browser:
 
 @contextmanager
 def browser(port):
-    url, protocol = f"ws://127.0.0.1:{port}", f"viser-v{viser.__version__}"
+    url, protocol = f"ws://127.0.0.1:{port}", Subprotocol(f"viser-v{viser.__version__}")
     with connect(url, subprotocols=[protocol], max_size=None, compression=None) as socket:
         client = Browser(socket)
         client.show_camera()

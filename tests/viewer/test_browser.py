@@ -1,7 +1,6 @@
 """The page as a person uses it, in a headless Chromium that renders in software: a minute of CPU, so only if asked for.
 
-    apt-get install chromium-headless-shell; pip install playwright
-    BROWSER_TESTS=1 pytest tests/viewer/test_browser.py
+    scripts/browser_test
 
 ``VIEWER_SCREENSHOT=page.png`` keeps the picture.
 """
