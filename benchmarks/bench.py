@@ -24,8 +24,8 @@ from torchrl_atr._compilation import compiler
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._files import say
 from torchrl_atr._interrupt import end_children
+from torchrl_atr.runs.provenance import machine
 from torchrl_atr.training import TrainConfig, make_config
-from torchrl_atr.training.provenance import machine
 
 Maker = Callable[[], Contender]
 

@@ -21,7 +21,7 @@ from typing import Any
 from benchmarks import results
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._files import say
-from torchrl_atr.training.provenance import machine
+from torchrl_atr.runs.provenance import machine
 
 _BUSY = [sys.executable, "-c", "while True: pass"]
 _COMMAND = [sys.executable, "-m", "torchrl_atr.cli"]

@@ -31,7 +31,7 @@ from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
 from torchrl_atr.envs.physics.batch import BatchEngine
 from torchrl_atr.envs.tasks import riding
 from torchrl_atr.envs.tasks.riding.drive_law import DriveHook
-from torchrl_atr.training.provenance import machine
+from torchrl_atr.runs.provenance import machine
 
 PYRAMIDAL, ELLIPTIC = mujoco.mjtCone.mjCONE_PYRAMIDAL, mujoco.mjtCone.mjCONE_ELLIPTIC
 SOFT = ContactModel(PYRAMIDAL, impratio=1.0, noslip_iterations=0)

@@ -30,8 +30,8 @@ from torchrl_atr.evaluation.access import deterministic
 from torchrl_atr.evaluation.ride import RideStep, ride
 from torchrl_atr.modules import RunningNormalizer, get_estimator
 from torchrl_atr.modules.estimators import NormalizedEstimator
+from torchrl_atr.runs.provenance import machine
 from torchrl_atr.training import load_run
-from torchrl_atr.training.provenance import machine
 
 COMMAND_SECONDS = 5.0
 BATCH = 512

@@ -17,8 +17,8 @@ from typing import Any
 from benchmarks import results
 from torchrl_atr._files import say, write_json
 from torchrl_atr.evaluation import evaluate_tracking, tracking_metrics
+from torchrl_atr.runs.provenance import cores, machine
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_config, make_env
-from torchrl_atr.training.provenance import cores, machine
 
 FIGURES = {
     "survival": ("robots still up after 10 s", "{:.1%}"),

@@ -22,8 +22,8 @@ from benchmarks import results
 from benchmarks.training import TrainingLoop
 from torchrl_atr._compilation import compiler
 from torchrl_atr._files import say
+from torchrl_atr.runs.provenance import machine
 from torchrl_atr.training import TrainConfig, make_config
-from torchrl_atr.training.provenance import machine
 
 COLUMNS = {"frames_per_second": "robot steps/s", "collect_seconds": "collecting, s", "learn_seconds": "learning, s"}
 """Reported metrics of an iteration, and their labels."""

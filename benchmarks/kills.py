@@ -19,9 +19,9 @@ from typing import Any
 
 from benchmarks import results
 from torchrl_atr._files import say
+from torchrl_atr.runs.checkpoint import NAME
+from torchrl_atr.runs.provenance import machine
 from torchrl_atr.training import CheckpointError, load_checkpoint
-from torchrl_atr.training.checkpoint import NAME
-from torchrl_atr.training.provenance import machine
 
 SETTINGS = (
     *("--num-envs", "8", "--ppo.rollout-steps", "4", "--ppo.minibatches", "1", "--ppo.epochs", "1"),

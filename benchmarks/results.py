@@ -14,6 +14,9 @@ from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic, prepare_output, say, write_json
 from torchrl_atr._interrupt import Interrupt, Stopped
 from torchrl_atr.config.nested import flat
+from torchrl_atr.runs.checkpoint import NAME as CHECKPOINT
+from torchrl_atr.runs.files import CONFIG
+from torchrl_atr.runs.provenance import cores
 from torchrl_atr.training import (
     ConfigError,
     TrainConfig,
@@ -23,9 +26,6 @@ from torchrl_atr.training import (
     parse_settings,
     read_config,
 )
-from torchrl_atr.training.checkpoint import NAME as CHECKPOINT
-from torchrl_atr.training.provenance import cores
-from torchrl_atr.training.run_files import CONFIG
 
 
 def write(folder: Path, name: str, report: dict[str, Any], readme: str) -> None:

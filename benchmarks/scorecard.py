@@ -20,8 +20,8 @@ from torchrl_atr._files import say
 from torchrl_atr.deploy.card import read_report
 from torchrl_atr.deploy.manifest import is_bundle
 from torchrl_atr.evaluation.intervals import wilson
-from torchrl_atr.training.provenance import cores, machine
-from torchrl_atr.training.run_files import ORIGIN
+from torchrl_atr.runs.files import ORIGIN
+from torchrl_atr.runs.provenance import cores, machine
 
 STILL = ("--max-speed", "0", "--max-yaw-rate", "0", "--no-pushes")
 NARROW = ("--max-speed", "5", "--max-yaw-rate", "1", "--speed-step", "1", "--yaw-rate-step", "0.25")

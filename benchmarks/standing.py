@@ -23,7 +23,7 @@ from torchrl_atr._files import say
 from torchrl_atr.envs import ROBOTS, RidingEnv, get_interpretation
 from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.training.provenance import machine
+from torchrl_atr.runs.provenance import machine
 
 STANCE = (0.15, 0.1, 0.0)
 """Wider, longer and lower, as shares of the standing height."""

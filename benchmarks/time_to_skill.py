@@ -19,9 +19,9 @@ from typing import Any
 from benchmarks import results
 from torchrl_atr._files import say, write_json
 from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics
+from torchrl_atr.runs.checkpoint import NAME
+from torchrl_atr.runs.provenance import cores, machine
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, TrainConfig, Trainer, load_checkpoint, make_config, make_env
-from torchrl_atr.training.checkpoint import NAME
-from torchrl_atr.training.provenance import cores, machine
 
 BAR = {"survival": (0.97, 1.0), "settled_speed_error": (0.0, 0.30), "settled_yaw_error": (0.0, 0.25)}
 """Least and largest value of each figure: share, m/s, rad/s."""

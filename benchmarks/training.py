@@ -13,8 +13,8 @@ from benchmarks.stopwatch import Stopwatch
 from benchmarks.summary import TRAINED
 from benchmarks.timing import Contender, Key
 from torchrl_atr.config.nested import flat
+from torchrl_atr.runs.restoring import checkpoint_config
 from torchrl_atr.training import TrainConfig, Trainer, load_checkpoint, make_config
-from torchrl_atr.training.restoring import checkpoint_config
 
 RIDE = Path(__file__).parents[1] / "results" / "a1-single_board"
 """Run whose robots rarely fall, as in most iterations of any run; untrained ones fall within seconds."""

@@ -22,7 +22,7 @@ from tests.viewer.client import browser
 from torchrl_atr._files import say
 from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.training.provenance import machine
+from torchrl_atr.runs.provenance import machine
 from torchrl_atr.viewer import Loop, Session, Setup, ridable
 from torchrl_atr.viewer.page import Page
 from torchrl_atr.viewer.serve import viser_server

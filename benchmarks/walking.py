@@ -25,8 +25,8 @@ from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks.state import GRAVITY
 from torchrl_atr.evaluation import evaluate_tracking, tracking_metrics
 from torchrl_atr.evaluation.access import deterministic
+from torchrl_atr.runs.provenance import cores, machine
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, TrainConfig, load_run, make_config, make_env
-from torchrl_atr.training.provenance import cores, machine
 
 SECONDS, SETTLE = 60.0, 5.0
 """Length of a trial, and the time at its start that the settled figures leave out, s."""

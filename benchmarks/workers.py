@@ -16,8 +16,8 @@ from typing import Any
 
 from benchmarks import results
 from torchrl_atr._files import say
+from torchrl_atr.runs.provenance import machine
 from torchrl_atr.training import Trainer, make_config
-from torchrl_atr.training.provenance import machine
 
 KINDS: dict[str, dict[str, Any]] = {
     "one process": {"compute.collector": "direct"},

@@ -24,8 +24,8 @@ from torchrl_atr.deploy.manifest import MANIFEST, POLICY, BundleError, is_bundle
 from torchrl_atr.envs import ROBOTS
 from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 from torchrl_atr.evaluation.intervals import share_text, wilson
+from torchrl_atr.runs.provenance import cores, machine
 from torchrl_atr.training import TrainConfig, make_config
-from torchrl_atr.training.provenance import cores, machine
 
 PAIRS = tuple(f"{robot}:{transporter}" for robot in ROBOTS.names() for transporter in TRANSPORTER_DESIGNS)
 AREA = "area-5x1"

@@ -2,7 +2,7 @@
 
 Without OUTPUT the run folder itself is converted; with it, a copy. Files of the current version stay as they are.
 
-To change the contents of a checkpoint: raise ``VERSION`` in ``torchrl_atr/training/checkpoint.py`` by one and append a
+To change the contents of a checkpoint: raise ``VERSION`` in ``torchrl_atr/runs/checkpoint.py`` by one and append a
 function to :data:`CONVERSIONS` that converts a state of the previous version to the new one, in place.
 """
 
@@ -24,8 +24,8 @@ from torchrl_atr._files import atomic
 from torchrl_atr.config import TrainConfig
 from torchrl_atr.config.files import to_toml
 from torchrl_atr.config.nested import merged
-from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS, VERSION, CheckpointError, read_checkpoint
-from torchrl_atr.training.run_files import CONFIG
+from torchrl_atr.runs.checkpoint import BEST, NAME, PREVIOUS, VERSION, CheckpointError, read_checkpoint
+from torchrl_atr.runs.files import CONFIG
 
 State = dict[str, Any]
 
@@ -205,7 +205,7 @@ CONVERSIONS: tuple[Callable[[State], None], ...] = (separate_exploration, descri
 
 
 def convert(state: State) -> None:
-    """Convert a checkpoint's state to :data:`~torchrl_atr.training.checkpoint.VERSION`, in place.
+    """Convert a checkpoint's state to :data:`~torchrl_atr.runs.checkpoint.VERSION`, in place.
 
     Raises:
         CheckpointError: if its version is unknown, or an entry of that version is missing.

@@ -20,9 +20,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # the version that this clon
 from benchmarks import scorecard
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
+from torchrl_atr.runs.checkpoint import NAME
+from torchrl_atr.runs.files import CONFIG, MODEL, ORIGIN, copy_log
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_checkpoint, load_run
-from torchrl_atr.training.checkpoint import NAME
-from torchrl_atr.training.run_files import CONFIG, MODEL, ORIGIN, copy_log
 
 ROWS = 500
 """Of the published log, at most."""

@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))  # benchmarks/ is not installed
 
 from benchmarks.scorecard import row  # noqa: E402
-from torchrl_atr.training.provenance import cores  # noqa: E402
+from torchrl_atr.runs.provenance import cores  # noqa: E402
 
 BEGIN, END = "<!-- results:begin -->", "<!-- results:end -->"
 LONG, SHORT = "results/a1-single_board", "results/five_minutes"

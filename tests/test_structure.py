@@ -28,6 +28,7 @@ LAYERS = [  # each may import from those before it, and from what is in none
     ("torchrl_atr.deploy.manifest", "torchrl_atr.deploy.weights"),
     ("torchrl_atr.navigation",),
     ("torchrl_atr.config",),
+    ("torchrl_atr.runs",),
     ("torchrl_atr.training",),
     ("torchrl_atr.comparison",),
     ("torchrl_atr.deploy",),

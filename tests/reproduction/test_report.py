@@ -10,7 +10,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.cli import main
 from torchrl_atr.reproduction.report import FAILS, HOLDS, UNKNOWN, Claim, judge, write_report
 from torchrl_atr.reproduction.summary import summary
-from torchrl_atr.training.provenance import machine
+from torchrl_atr.runs.provenance import machine
 
 
 def test_a_verdict_needs_the_whole_interval_on_one_side():

@@ -11,8 +11,8 @@ import torch
 from scripts import convert_run
 from tests.training.states import SMALL, differing
 from torchrl_atr.config.nested import flat
+from torchrl_atr.runs.checkpoint import VERSION
 from torchrl_atr.training import CheckpointError, Trainer, load_checkpoint, load_run, make_config
-from torchrl_atr.training.checkpoint import VERSION
 
 OLD_NAMES = {  # of version 2, in version 1
     "exploration.raw": "backbone.std.raw",

@@ -15,8 +15,8 @@ from tests.own_robot import FACTS, GO1, make_heavier, write_robot
 from torchrl_atr.cli import main
 from torchrl_atr.envs.models.identity import differences
 from torchrl_atr.evaluation import replay_failure
+from torchrl_atr.runs.files import DUMPS
 from torchrl_atr.training import Trainer, load_checkpoint, load_run, make_config, read_config
-from torchrl_atr.training.run_files import DUMPS
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

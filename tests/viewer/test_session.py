@@ -10,8 +10,8 @@ import torch
 
 from torchrl_atr._errors import UserError
 from torchrl_atr.modules import CommandRange
+from torchrl_atr.runs.checkpoint import NAME, save_checkpoint
 from torchrl_atr.training import CheckpointError, load_checkpoint
-from torchrl_atr.training.checkpoint import NAME, save_checkpoint
 from torchrl_atr.viewer import Session, Setup
 
 GRAVITY = 9.81

@@ -8,7 +8,7 @@ from typing import Any
 
 def checkpoint_file(arguments: argparse.Namespace) -> str | None:
     """Return the file of the chosen checkpoint; None for the last one."""
-    from torchrl_atr.training.checkpoint import BEST
+    from torchrl_atr.runs.checkpoint import BEST
 
     return BEST if arguments.checkpoint == "best" else None
 

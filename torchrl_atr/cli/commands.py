@@ -37,8 +37,8 @@ def train(words: Sequence[str]) -> int:
     """Run ``torchrl-atr train``; if a signal stops it, return 128 plus the signal's number, as shells expect."""
     from torchrl_atr.cli.train_options import DEFAULT_RUN, parse_train
     from torchrl_atr.config.nested import merged
+    from torchrl_atr.runs.checkpoint import NAME
     from torchrl_atr.training import ConfigError, Trainer, make_config, read_config
-    from torchrl_atr.training.checkpoint import NAME
 
     arguments = parse_train(words)
     if arguments.resume is not None:
@@ -55,8 +55,8 @@ def train(words: Sequence[str]) -> int:
 def _config_from(run: Path, given: dict[str, Any]) -> tuple[TrainConfig, set[str]]:
     """Return another run's settings with the given ones in their place, and the names of the given task settings."""
     from torchrl_atr.config.presets import STUDENTS
+    from torchrl_atr.runs.restoring import saved_settings
     from torchrl_atr.training import PRESETS, ConfigError, load_checkpoint, make_config
-    from torchrl_atr.training.restoring import saved_settings
 
     settings = saved_settings(load_checkpoint(run), run, given.get("imports", ()))
     preset = given.get("preset", settings["preset"])
@@ -192,8 +192,8 @@ def _report_folder(arguments: argparse.Namespace) -> Path:
 
 def _imports_of(dump: Path) -> Sequence[str]:
     """Return the modules that a dump's run imports; empty if the dump is not in a run's folder."""
+    from torchrl_atr.runs.files import CONFIG
     from torchrl_atr.training import ConfigError, read_config
-    from torchrl_atr.training.run_files import CONFIG
 
     try:
         return read_config(dump.resolve().parents[1] / CONFIG).get("imports", ())

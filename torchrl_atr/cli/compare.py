@@ -50,8 +50,8 @@ def compare(arguments: argparse.Namespace) -> None:
     from torchrl_atr._threads import TorchThreads
     from torchrl_atr.comparison import QUICK, CompareOptions, Study, summarize, write_comparison
     from torchrl_atr.modules import available_estimators
+    from torchrl_atr.runs.provenance import machine
     from torchrl_atr.training import load_run
-    from torchrl_atr.training.provenance import machine
 
     given = {name: getattr(arguments, name) for name in (*_SIZES, *_RANGES)}
     sizes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}

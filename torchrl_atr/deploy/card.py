@@ -10,7 +10,7 @@ from typing import Any
 from torchrl_atr._errors import UserError
 from torchrl_atr.evaluation.compatibility import compatibility_table
 from torchrl_atr.evaluation.robustness import robustness_table
-from torchrl_atr.training.provenance import cores
+from torchrl_atr.runs.provenance import cores
 
 _SCORECARD = "scorecard.json"
 _SWEEPS: Mapping[str, tuple[str, Callable[[Mapping[str, Any]], list[str]]]] = {

@@ -16,8 +16,8 @@ from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
 from torchrl_atr.envs.tasks.dead_reckoning import METHODS
 from torchrl_atr.envs.tasks.support_tilt import NAME
 from torchrl_atr.modules import CommandRange
+from torchrl_atr.runs.provenance import machine
 from torchrl_atr.training import TrainConfig
-from torchrl_atr.training.provenance import machine
 
 _BODY = "body: x forward, y left, z up"
 _ARGUMENTS = {

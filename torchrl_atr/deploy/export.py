@@ -29,8 +29,8 @@ from torchrl_atr.deploy.reports import copy_reports
 from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import scene_xml
 from torchrl_atr.modules import CommandRange
+from torchrl_atr.runs.files import MODEL
 from torchrl_atr.training import load_run
-from torchrl_atr.training.run_files import MODEL
 
 LARGEST = 2_000_000
 """Largest size of a bundle without pictures, bytes."""

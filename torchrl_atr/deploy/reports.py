@@ -11,7 +11,7 @@ from typing import Any
 from torchrl_atr.deploy.card import read_report
 from torchrl_atr.evaluation.report import load_tracking, save_tracking
 from torchrl_atr.evaluation.set_figures import CURVES
-from torchrl_atr.training.run_files import LOG, copy_log
+from torchrl_atr.runs.files import LOG, copy_log
 
 PROTOCOLS = ("endurance", "tracking")
 """Protocols whose evaluations are copied: folders of the run."""

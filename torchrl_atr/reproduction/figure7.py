@@ -18,8 +18,8 @@ from torchrl_atr.evaluation.intervals import welch_difference
 from torchrl_atr.reproduction.policies import RiderPolicy, load_rider
 from torchrl_atr.reproduction.report import Claim, Job, judge, with_interval, write_report
 from torchrl_atr.reproduction.tracking import EPSILONS, THRESHOLD, Grid, measure, tracking_figures, within
+from torchrl_atr.runs.checkpoint import NAME
 from torchrl_atr.training import TrainConfig, Trainer, checkpoint_config, load_checkpoint, make_config
-from torchrl_atr.training.checkpoint import NAME
 
 FULL = "full"
 VARIANTS: dict[str, dict[str, Any]] = {

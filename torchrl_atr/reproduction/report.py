@@ -13,7 +13,7 @@ from torchrl_atr._files import atomic, write_json
 from torchrl_atr._text import markdown_table
 from torchrl_atr.reproduction.parts import Parts
 from torchrl_atr.reproduction.policies import RiderPolicy
-from torchrl_atr.training.provenance import cores, machine
+from torchrl_atr.runs.provenance import cores, machine
 
 HOLDS, FAILS, UNKNOWN = "holds", "does not hold here", "cannot be told"
 """Verdicts on a claim."""

@@ -11,6 +11,8 @@ from torchrl_atr.config import (
     parse_settings,
     read_config,
 )
+from torchrl_atr.runs.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
+from torchrl_atr.runs.restoring import checkpoint_config
 from torchrl_atr.training.assembly import (
     DEPLOYMENT_OVERRIDES,
     make_env,
@@ -20,12 +22,10 @@ from torchrl_atr.training.assembly import (
     make_run_networks,
 )
 from torchrl_atr.training.callbacks import Callback, Phase
-from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint, save_checkpoint
 from torchrl_atr.training.guard import TrainingDiverged
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.loading import commanded_range, load_run
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory
-from torchrl_atr.training.restoring import checkpoint_config
 from torchrl_atr.training.trainer import Trainer
 
 __all__ = [

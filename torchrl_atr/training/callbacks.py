@@ -14,7 +14,7 @@ from tensordict import NestedKey, TensorDictBase
 from torchrl_atr._checks import check_keys
 from torchrl_atr._errors import InputError, first_line
 from torchrl_atr._settings import ConfigError
-from torchrl_atr.training.checkpoint import CheckpointError
+from torchrl_atr.runs.checkpoint import CheckpointError
 
 if TYPE_CHECKING:
     from torchrl_atr.training.trainer import Trainer

@@ -10,7 +10,7 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
 from torchrl_atr.envs.transforms import CommandCurriculum
-from torchrl_atr.training.checkpoint import CheckpointError
+from torchrl_atr.runs.checkpoint import CheckpointError
 
 
 def base_of(env: EnvBase) -> Any:

@@ -23,12 +23,12 @@ from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.objectives import DeviceKLAdaptiveLR, LinearSchedule, ROAClipPPOLoss, previous_means
 from torchrl_atr.objectives.schedules import kl_divergence
 from torchrl_atr.objectives.smoothness import rms_change
+from torchrl_atr.runs.restoring import deployed_weights
 from torchrl_atr.training.assembly import make_run_loss
 from torchrl_atr.training.callbacks import Callbacks, Phase
 from torchrl_atr.training.guard import StepGuard
 from torchrl_atr.training.optimizers import load_optimizers, make_optimizers, parameter_groups, take_moments
 from torchrl_atr.training.recording import Teacher, record_output
-from torchrl_atr.training.restoring import deployed_weights
 from torchrl_atr.training.reward_schedule import RewardSchedule, factors_at, with_factors
 
 EMA_WARMUP = 9

@@ -12,11 +12,11 @@ from torchrl_atr.config import TrainConfig
 from torchrl_atr.deploy.manifest import find_policy, is_bundle
 from torchrl_atr.envs.models.identity import PARTS
 from torchrl_atr.modules import CommandRange, EstimatorError
+from torchrl_atr.runs.checkpoint import CheckpointError, load_checkpoint
+from torchrl_atr.runs.restoring import check_model, checkpoint_config, deployed_weights, load_networks
 from torchrl_atr.training.assembly import LOADING_OVERRIDES, make_env
-from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.training.env_access import attribute
 from torchrl_atr.training.parts import NetworksFactory, Parts
-from torchrl_atr.training.restoring import check_model, checkpoint_config, deployed_weights, load_networks
 
 
 def load_run(

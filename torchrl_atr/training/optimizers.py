@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from torchrl_atr.config import TrainConfig
-from torchrl_atr.training.restoring import check_moments
+from torchrl_atr.runs.restoring import check_moments
 
 
 def parameter_groups(networks: Any) -> dict[str, list[nn.Parameter]]:

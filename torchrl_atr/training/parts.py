@@ -16,10 +16,10 @@ from torchrl.envs import EnvBase
 from torchrl_atr._errors import UserError, first_line
 from torchrl_atr.config import ConfigError, TrainConfig
 from torchrl_atr.modules import get_estimator
+from torchrl_atr.runs.checkpoint import CheckpointError
+from torchrl_atr.runs.files import DUMPS
 from torchrl_atr.training.assembly import check_run_estimator, make_env, make_run_networks
 from torchrl_atr.training.callbacks import Callbacks
-from torchrl_atr.training.checkpoint import CheckpointError
-from torchrl_atr.training.run_files import DUMPS
 
 FACTORIES = ("make_env", "make_networks", "make_loss")
 """Arguments of a run that are factories of its parts."""

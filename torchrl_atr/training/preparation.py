@@ -10,10 +10,10 @@ import torch
 from torchrl.envs import EnvBase
 
 from torchrl_atr.config import ConfigError, TrainConfig
+from torchrl_atr.runs.restoring import check_model, deployed_weights, load_networks, other_parts, read_other
 from torchrl_atr.training.env_access import attribute
 from torchrl_atr.training.loggers import check_logger
 from torchrl_atr.training.parts import FACTORIES, Parts
-from torchrl_atr.training.restoring import check_model, deployed_weights, load_networks, other_parts, read_other
 
 
 def check_given(

@@ -15,8 +15,8 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic, naming, say
 from torchrl_atr._text import number
 from torchrl_atr.config import TrainConfig
+from torchrl_atr.runs.files import LOG
 from torchrl_atr.training.loggers import make_logger
-from torchrl_atr.training.run_files import LOG
 
 if TYPE_CHECKING:
     from torchrl.record.loggers import Logger

@@ -17,20 +17,20 @@ from torchrl_atr._threads import TorchThreads
 from torchrl_atr.config import TrainConfig
 from torchrl_atr.config.files import to_toml
 from torchrl_atr.envs.models.identity import describe, digest
+from torchrl_atr.runs.checkpoint import NAME, load_rng_state, rng_state, save_checkpoint
+from torchrl_atr.runs.files import CONFIG, ORIGIN, clear, keep_files, stored_settings
+from torchrl_atr.runs.provenance import provenance
+from torchrl_atr.runs.restoring import check_model
 from torchrl_atr.training import env_access
 from torchrl_atr.training.assembly import make_policy, make_reward_schedule
 from torchrl_atr.training.callbacks import Callback, Callbacks
-from torchrl_atr.training.checkpoint import NAME, load_rng_state, rng_state, save_checkpoint
 from torchrl_atr.training.collection import Collection, CollectionError
 from torchrl_atr.training.learner import Learner
 from torchrl_atr.training.metrics import batch_metrics
 from torchrl_atr.training.parts import EnvFactory, LossFactory, NetworksFactory, Parts
 from torchrl_atr.training.preparation import check_given, init_normalizers, trained_networks
 from torchrl_atr.training.progress import Progress
-from torchrl_atr.training.provenance import provenance
-from torchrl_atr.training.restoring import check_model
 from torchrl_atr.training.reward_schedule import check_reward_terms
-from torchrl_atr.training.run_files import CONFIG, ORIGIN, clear, keep_files, stored_settings
 
 if TYPE_CHECKING:
     from torchrl.record.loggers import Logger

@@ -27,8 +27,8 @@ from torchrl_atr.evaluation.access import (
 )
 from torchrl_atr.modules import NetworkKeys
 from torchrl_atr.modules.estimators import with_state
+from torchrl_atr.runs.restoring import deployed_weights, load_networks
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_checkpoint, load_run
-from torchrl_atr.training.restoring import deployed_weights, load_networks
 from torchrl_atr.viewer.area import CommandArea, mastered_area
 from torchrl_atr.viewer.parameters import Parameters
 from torchrl_atr.viewer.poses import PoseReader

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from torchrl_atr._errors import UserError
 from torchrl_atr.deploy.manifest import is_bundle, policies
-from torchrl_atr.training.checkpoint import BEST, NAME
+from torchrl_atr.runs.checkpoint import BEST, NAME
 
 RUNS = Path("runs")
 """Folder whose runs are listed, where ``torchrl-atr train`` puts them by default."""

@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 import torchrl_atr
-from torchrl_atr.training import provenance
+from torchrl_atr.runs import provenance
 
 
 @pytest.fixture

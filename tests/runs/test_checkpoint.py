@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
+from torchrl_atr.runs.checkpoint import VERSION
 from torchrl_atr.training import CheckpointError, load_checkpoint, save_checkpoint
-from torchrl_atr.training.checkpoint import VERSION
 
 
 def test_round_trip_and_no_temporary_left(tmp_path):

@@ -16,7 +16,7 @@ from torchrl_atr.config import TrainConfig
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
 from torchrl_atr.modules import COMMAND_RANGE_FILE
-from torchrl_atr.training.checkpoint import BEST, NAME, PREVIOUS
+from torchrl_atr.runs.checkpoint import BEST, NAME, PREVIOUS
 
 MODEL = "model"
 """Folder of a run that holds its robot's and its transporter's files."""

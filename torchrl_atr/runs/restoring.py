@@ -22,8 +22,8 @@ from torchrl_atr.config import ConfigError, TrainConfig, make_config
 from torchrl_atr.deploy.manifest import find_policy
 from torchrl_atr.envs.models import Scene
 from torchrl_atr.envs.models.identity import PARTS, describe, differences, first_few
-from torchrl_atr.training.checkpoint import CheckpointError, load_checkpoint
-from torchrl_atr.training.run_files import located_settings
+from torchrl_atr.runs.checkpoint import CheckpointError, load_checkpoint
+from torchrl_atr.runs.files import located_settings
 
 _NEEDED = (
     "config",

@@ -19,7 +19,7 @@ from torchrl_atr._cpus import available_cpus
 from torchrl_atr._settings import settings
 from torchrl_atr.config import TrainConfig, make_config
 from torchrl_atr.config.nested import flat, to_text
-from torchrl_atr.training.run_files import stored_settings
+from torchrl_atr.runs.files import stored_settings
 
 _PACKAGES = ("torchrl_atr", "torch", "torchrl", "tensordict", "mujoco", "numpy")
 
