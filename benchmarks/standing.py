@@ -113,7 +113,8 @@ def table(report: dict[str, Any]) -> str:
         "mass centred and everything else drawn; with everything drawn (centre of mass ±20 cm); and with pushes every "
         f"3 s, too. The wide stance (setting `task.stance`) has the feet {wider:.0%} of the standing height "
         f"further out and {longer:.0%} further apart along x, and the trunk {lower:.0%} lower. The springs of the "
-        "large (G2) transporters are five times Table II's by default (question A12, field `scaled_springs`).",
+        "large (G2) transporters are five times Table II's by default, two and a half times on each of two boards "
+        "(question A12, field `scaled_springs`).",
         "",
         "| robot | transporter | springs | stance | CoM centred | full range | full range, pushes |",
         "| --- | --- | --- | --- | --- | --- | --- |",

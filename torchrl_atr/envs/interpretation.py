@@ -55,9 +55,9 @@ class Interpretation(Settings):
     a unit. In N m/rad, an A1 standing 1 cm off centre would tilt the board by 66 degrees; in N m/deg it tilts by
     one."""
     scaled_springs: bool = setting(True, question="A12", literal=False)
-    """Make the springs of the large (G2) transporters five times Table II's. Table II's springs fit the small (G1)
-    robots; ANYmal-C and Spot need 4.6 to 6.3 times as much for the same k_SB over m g h, so the large (G2) boards carry
-    five times the printed gains."""
+    """Make the springs of the large (G2) transporters stiffer than Table II's: five times on the single board, two and
+    a half times on each of two. Table II's springs fit the small (G1) robots; ANYmal-C and Spot need 4.6 to 6.3 times
+    as much for the same k_SB over m g h. Two boards with five times each took twice the lean of the single board."""
     gains_as_ratios: bool = setting(True, question="A13", literal=False)
     """Read Table II's PD gains as ranges of ratios to a nominal of each robot, not 36-44 for all. Table II gives every
     robot PD gains of 36-44 and 0.8-1.2; Spot collapses on them. Read as ±10 % and ±20 % of a nominal of each robot: 40

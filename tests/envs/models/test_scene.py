@@ -81,14 +81,15 @@ def test_self_balancing_gains_follow_their_unit():
         np.testing.assert_allclose(scene.model.dof_damping[dofs], 0.025 * unit)
 
 
-@pytest.mark.parametrize(("profile", "scale"), [("default", 5 * 180 / np.pi), ("literal", 1.0)])
-def test_large_decks_carry_scaled_springs_unless_read_literally(profile, scale):
-    deck = TRANSPORTERS.get("two_board_g2")
-    model = build_scene(ROBOTS.get("spot"), Transporter(deck, get_interpretation(profile))).model
-    for side in ("right", "left"):
-        joint = model.joint(f"platform_pitch_{side}")
-        assert joint.stiffness[0] == pytest.approx(1.15 * scale)
-        assert joint.damping[0] == pytest.approx(0.025 * scale)
+@pytest.mark.parametrize(("kind", "default"), [("single_board", 5.0), ("two_board", 2.5)])
+@pytest.mark.parametrize(("profile", "unit"), [("default", 180 / np.pi), ("literal", 1.0)])
+def test_large_decks_carry_scaled_springs_unless_read_literally(profile, unit, kind, default):
+    """So that a large robot's centre of mass, as far off the pivot, tilts both kinds of boards alike."""
+    deck, scale = TRANSPORTERS.get(f"{kind}_g2"), unit * (default if profile == "default" else 1.0)
+    scene = build_scene(ROBOTS.get("spot"), Transporter(deck, get_interpretation(profile)))
+    layout = scene.support_layout
+    np.testing.assert_allclose(scene.model.jnt_stiffness[layout.tilt_joints], 1.15 * scale)
+    np.testing.assert_allclose(scene.model.dof_damping[layout.tilt_dof], 0.025 * scale)
 
 
 def test_each_gain_of_two_boards_reaches_its_own_board():

@@ -215,12 +215,13 @@ TRANSPORTERS: Registry[TransporterSpec] = Registry("transporter", hint="or a .to
 """Transporters by name."""
 TRANSPORTER_DESIGNS: Registry[TransporterDesign] = Registry("design")
 """Designs by the name that a TOML file gives."""
-_SIZES = {"G1": ((0.9, 0.7, 0.05), 11.5, 1.0), "G2": ((1.5, 1.1, 0.05), 30.0, 5.0)}
+_SIZES = {"G1": ((0.9, 0.7, 0.05), 11.5), "G2": ((1.5, 1.1, 0.05), 30.0)}
+_SPRING_SCALES = {"G2": {"single_board": 5.0, "two_board": 2.5}}  # two boards share the robot, each with a spring
 for _kind, _design in {"single_board": SINGLE_BOARD, "two_board": TWO_BOARD}.items():
     TRANSPORTER_DESIGNS.register(_kind, _design)
     for _group in GROUPS:
-        _size, _mass, _scale = _SIZES[_group]
-        _name = f"{_kind}_{_group.lower()}"
+        _size, _mass = _SIZES[_group]
+        _name, _scale = f"{_kind}_{_group.lower()}", _SPRING_SCALES.get(_group, {}).get(_kind, 1.0)
         TRANSPORTERS.register(_name, TransporterSpec(_name, _design, _size, _mass, spring_scale=_scale))
 
 
