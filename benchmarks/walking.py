@@ -1,6 +1,7 @@
-"""Training of the walking task from scratch, and measurement of command tracking over a minute and of the gait.
+"""Walking policies, the legged baseline: trained from scratch, measured over a minute and by gait, packed as bundles.
 
-``python -m benchmarks.walking`` continues where it was stopped.
+``python -m benchmarks.walking`` continues where it was stopped, and ``--robots`` splits the work. The report is of all
+robots that are done.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,19 +22,29 @@ from torchrl.envs.utils import step_mdp
 
 from benchmarks import results
 from torchrl_atr._files import say, write_json
+from torchrl_atr.deploy.manifest import is_bundle
+from torchrl_atr.envs import ROBOTS
+from torchrl_atr.envs.models import get_robot
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks.state import GRAVITY
+from torchrl_atr.envs.tasks.walking import MAX_SPEED
 from torchrl_atr.evaluation import evaluate_tracking, tracking_metrics
 from torchrl_atr.evaluation.access import deterministic
+from torchrl_atr.evaluation.intervals import share_text, wilson
 from torchrl_atr.runs.provenance import cores, machine
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, TrainConfig, load_run, make_config, make_env
 
 SECONDS, SETTLE = 60.0, 5.0
 """Length of a trial, and the time at its start that the settled figures leave out, s."""
-SPEEDS, YAW_RATES = (0.0, 0.5, 1.0, 1.5), (-1.0, -0.5, 0.0, 0.5, 1.0)
-ROBOTS = 12
+SPEEDS, YAW_RATES = (0.0, 1 / 3, 2 / 3, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
+"""Commanded speeds as shares of the largest one, and yaw rates, rad/s."""
+COPIES = 12
 """Robots per command."""
 GAIT_SECONDS, GAIT_ROBOTS = 20.0, 32
+PUBLISHED = (
+    "Published costs of transport: ANYmal 0.42 (0.45 m/s on moss) to 1.2 (vegetation), of positive mechanical power; "
+    "MIT Cheetah 0.5 and Raibo2 0.25, of all power."
+)
 EVALUATION = "evaluation.json"
 """Name of the file in the run's folder."""
 
@@ -44,24 +55,29 @@ def evaluate(run: Path) -> dict[str, Any]:
     env.close()
     policy = networks.deployed_policy()
     tracking = {randomization: _tracking(policy, config, randomization) for randomization in ("train", "test")}
-    gait = [measure_gait(policy, config, speed) for speed in SPEEDS[1:]]
+    gait = [measure_gait(policy, config, speed) for speed in _speeds(config)[1:]]
     return {"tracking": tracking, "gait": gait, "run": state["provenance"]}
+
+
+def _speeds(config: TrainConfig) -> tuple[float, ...]:
+    top = MAX_SPEED[get_robot(config.task.robot).group]
+    return tuple(share * top for share in SPEEDS)
 
 
 def _tracking(policy: TensorDictModuleBase, config: TrainConfig, randomization: str) -> dict[str, Any]:
     result = evaluate_tracking(
         policy,
         partial(make_env, config, randomization=randomization, **DEPLOYMENT_OVERRIDES),
-        (SPEEDS, YAW_RATES),
-        ROBOTS,
+        (_speeds(config), YAW_RATES),
+        COPIES,
         SECONDS,
         SETTLE,
         seed=config.seed + 1,
     )
     metrics = tracking_metrics(result)
-    names = ("n", "survival", "settled_speed_error", "settled_yaw_error", "yaw_slope")
-    worst = {f"worst_{name}": float(np.nanmean(getattr(result, name), -1).max()) for name in names[2:4]}
-    return {**{name: metrics[name] for name in names}, **worst}
+    names = ("n", "survival", "survival_interval", "settled_speed_error", "settled_yaw_error", "yaw_slope")
+    worst = {f"worst_{name}": float(np.nanmean(getattr(result, name), -1).max()) for name in names[3:5]}
+    return {**{name: metrics.get(name) for name in names}, **worst}
 
 
 def measure_gait(policy: TensorDictModuleBase, config: TrainConfig, speed: float) -> dict[str, float]:
@@ -132,73 +148,89 @@ def strides(bears: Tensor, heights: Tensor) -> dict[str, float]:
     return {"air_time": float(np.mean(times)), "swing_height": float(np.mean(peaks))}
 
 
-def page(report: dict[str, Any]) -> str:
+def page(report: Mapping[str, Any]) -> str:
     """Return the report as Markdown."""
-    origin = report["run"]
     lines = [
-        f"# Walking: {report['robot']}",
+        "# Walking policies",
         "",
-        f"`{report['command']}`: {origin['frames']:,} robot steps from scratch in {origin['minutes']:.1f} minutes on "
-        f"{cores(origin['hardware'])}, seed {origin['seed']}.",
+        f"`{report['command']}`. Deployed, with realistic sensors: proprioception only. {SECONDS:g} s from rest "
+        "without pushes, speeds from 0 to 1.5 m/s (A1, Go1) or 3 m/s (ANYmal-C, Spot), yaw rates "
+        f"{min(YAW_RATES):g} to {max(YAW_RATES):g} rad/s; errors after {SETTLE:g} s.",
         "",
-        f"Deployed: proprioception only. {SECONDS:g} s from rest without pushes, speeds {min(SPEEDS):g} to "
-        f"{max(SPEEDS):g} m/s, yaw rates {min(YAW_RATES):g} to {max(YAW_RATES):g} rad/s; errors after {SETTLE:g} s.",
-        "",
-        "| intrinsics | robots | up at the end | speed error, m/s (worst command) | yaw error, rad/s (worst command) |",
-        "| --- | --- | --- | --- | --- |",
+        "| robot | minutes | robot steps | intrinsics | robots | up at the end | speed error, m/s (worst command) | "
+        "yaw error, rad/s (worst command) |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for name, row in report["tracking"].items():
-        errors = " | ".join(
-            f"{row[f'settled_{kind}_error']:.3f} ({row[f'worst_settled_{kind}_error']:.3f})"
-            for kind in ("speed", "yaw")
-        )
-        lines.append(f"| {name} range | {row['n']} | {row['survival']:.1%} | {errors} |")
+    for robot, found in report["robots"].items():
+        origin = found["run"]
+        for name, row in found["tracking"].items():
+            errors = " | ".join(
+                f"{row[f'settled_{kind}_error']:.3f} ({row[f'worst_settled_{kind}_error']:.3f})"
+                for kind in ("speed", "yaw")
+            )
+            interval = row.get("survival_interval") or wilson(round(row["survival"] * row["n"]), row["n"])
+            cells = [robot, f"{origin['minutes']:.0f}", f"{origin['frames']:,}", f"{name} range", str(row["n"])]
+            lines.append(f"| {' | '.join([*cells, share_text(row['survival'], interval), errors])} |")
     lines += [
         "",
-        f"The gait, straight on, {GAIT_ROBOTS} robots; power is Σ max(τ q̇, 0), its cost of transport P / (m g v):",
+        f"The gait, straight on, {GAIT_ROBOTS} robots; power is Σ max(τ q̇, 0), its cost of transport P / (m g v). "
+        f"{PUBLISHED}",
         "",
-        "| command, m/s | reached, m/s | power, W | cost of transport | duty factor | air time, s | swing height, m |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| robot | command, m/s | reached, m/s | power, W | cost of transport | duty factor | air time, s | "
+        "swing height, m |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for row in report["gait"]:
-        lines.append(
-            f"| {row['command']:g} | {row['speed']:.2f} | {row['power']:.1f} | {row['cost_of_transport']:.2f} | "
-            f"{row['duty']:.2f} | {row['air_time']:.2f} | {row['swing_height']:.3f} |"
-        )
-    return "\n".join([*lines, ""])
+    for robot, found in report["robots"].items():
+        for row in found["gait"]:
+            lines.append(
+                f"| {robot} | {row['command']:g} | {row['speed']:.2f} | {row['power']:.1f} | "
+                f"{row['cost_of_transport']:.2f} | {row['duty']:.2f} | {row['air_time']:.2f} | "
+                f"{row['swing_height']:.3f} |"
+            )
+    machines = sorted({cores(found["run"]["hardware"]) for found in report["robots"].values()})
+    return "\n".join([*lines, "", f"Trained on {'; '.join(machines)}.", ""])
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Train and evaluate; write ``walking.json`` and ``README.md``."""
+    """Train, measure and pack; write ``walking.json`` and ``README.md``."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.walking", description=__doc__)
-    parser.add_argument("--robot", default="a1")
+    parser.add_argument("--robots", nargs="+", choices=tuple(ROBOTS.names()), default=tuple(ROBOTS.names()))
     parser.add_argument("--frames", type=int, default=5_000_000, help="robot steps")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--output", type=Path, default=Path("results/walking"), metavar="FOLDER")
-    parser.add_argument("--run", type=Path, default=Path("runs/walking"), metavar="FOLDER", help="to continue")
-    arguments = parser.parse_args(argv)
-    return results.exit_code("walking", partial(_measure, arguments))
+    parser.add_argument("--runs", type=Path, default=Path("runs/walking"), metavar="FOLDER", help="to continue")
+    parser.add_argument("--policies", type=Path, default=Path("torchrl_atr/policies"), metavar="FOLDER")
+    return results.exit_code("walking", partial(_all, parser.parse_args(argv)))
 
 
-def _measure(arguments: argparse.Namespace) -> None:
+def _all(arguments: argparse.Namespace) -> None:
+    configs = {robot: _config(robot, arguments) for robot in arguments.robots}
+    for robot, config in configs.items():
+        results.refuse_other_settings(config, arguments.runs / robot, ("compute", "max_minutes"))
+    for robot, config in configs.items():
+        run, bundle = arguments.runs / robot, arguments.policies / f"{robot}-walking"
+        if not (run / EVALUATION).is_file():
+            results.train(config, run)
+            write_json(run / EVALUATION, evaluate(run))
+        if not is_bundle(bundle):
+            results.call("export", run, "--output", bundle)
+        done = {name: file for name in ROBOTS.names() if (file := arguments.runs / name / EVALUATION).is_file()}
+        command = f"python -m benchmarks.walking --frames {arguments.frames} --seed {arguments.seed}"
+        found = {name: json.loads(file.read_text(encoding="utf-8")) for name, file in done.items()}
+        report = {"command": command, "robots": found, "versions": machine()["versions"]}
+        results.write(arguments.output, "walking", report, page(report))
+    say(page(report))
+
+
+def _config(robot: str, arguments: argparse.Namespace) -> TrainConfig:
     settings = {
-        "task.robot": arguments.robot,
+        "task.robot": robot,
+        "task.sensors": "realistic",
         "seed": arguments.seed,
         "total_frames": arguments.frames,
-        "max_minutes": 30.0,
+        "max_minutes": 60.0,
     }
-    config = make_config({"task.name": "walking", **settings, "compute.compiled": True})
-    results.refuse_other_settings(config, arguments.run)
-    if not (arguments.run / EVALUATION).is_file():
-        results.train(config, arguments.run)
-        write_json(arguments.run / EVALUATION, evaluate(arguments.run))
-    figures = json.loads((arguments.run / EVALUATION).read_text(encoding="utf-8"))
-    command = (
-        f"python -m benchmarks.walking --robot {arguments.robot} --frames {arguments.frames} --seed {arguments.seed}"
-    )
-    report = {"command": command, "robot": arguments.robot, **figures, "versions": machine()["versions"]}
-    results.write(arguments.output, "walking", report, page(report))
-    say(page(report))
+    return make_config({"task.name": "walking", **settings, "compute.compiled": True})
 
 
 if __name__ == "__main__":

@@ -93,17 +93,18 @@ def _made_by(factory: Any, net: Any) -> Any:
 
 
 def policies() -> Iterator[str]:
-    """Yield the policies that are installed: what they ride, and the share that stays up by their scorecards."""
+    """Yield the policies that are installed: what they stand on, and the share that stays up by their scorecards."""
     from torchrl_atr.deploy import policies as installed
     from torchrl_atr.deploy import read_manifest
+    from torchrl_atr.deploy.manifest import ground_of
 
-    rows = [["policy", "robot", "transporter", "commands", "up at 10 s", "at 60 s, pushed", "trained, minutes"]]
+    rows = [["policy", "robot", "on", "commands", "up at 10 s", "at 60 s, pushed", "trained, minutes"]]
     for name in installed():
         manifest = read_manifest(name)
         limits, figures = manifest["command"]["limits"], manifest["figures"] or {}
         up = [_share(figures.get(evaluation)) for evaluation in ("tracking", "endurance")]
         commands = f"±{limits['max_speed']:g} m/s, ±{limits['max_yaw_rate']:g} rad/s"
-        what = [manifest["robot"]["name"], manifest["transporter"]["name"], commands]
+        what = [manifest["robot"]["name"], ground_of(manifest), commands]
         rows.append([name, *what, *up, f"{manifest['training']['minutes']:.0f}"])
     yield from _table(rows)
     if len(rows) == 1:

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from benchmarks import walking
+from torchrl_atr.deploy.manifest import read_manifest
 
 
 def test_air_times_and_heights_are_those_of_whole_swings():
@@ -20,7 +21,7 @@ def test_air_times_and_heights_are_those_of_whole_swings():
 
 
 def test_it_trains_measures_and_goes_on_where_it_was(tmp_path, monkeypatch):
-    small = {"SECONDS": 0.1, "SETTLE": 0.02, "ROBOTS": 1, "GAIT_SECONDS": 0.1, "GAIT_ROBOTS": 2, "SPEEDS": (0.0, 1.0)}
+    small = {"SECONDS": 0.1, "SETTLE": 0.02, "COPIES": 1, "GAIT_SECONDS": 0.1, "GAIT_ROBOTS": 2, "SPEEDS": (0.0, 1.0)}
     for name, value in small.items():
         monkeypatch.setattr(walking, name, value)
     tiny = {
@@ -32,13 +33,15 @@ def test_it_trains_measures_and_goes_on_where_it_was(tmp_path, monkeypatch):
     }
     make = walking.make_config
     monkeypatch.setattr(walking, "make_config", lambda settings: make({**settings, **tiny}))
-    folders = ["--run", str(tmp_path / "run"), "--output", str(tmp_path / "report")]
-    assert walking.main(["--frames", "32", *folders]) == 0
-    report = json.loads((tmp_path / "report" / "walking.json").read_text())
-    assert report["run"]["frames"] == 32
-    assert {row["n"] for row in report["tracking"].values()} == {2 * len(walking.YAW_RATES)}
-    assert [row["command"] for row in report["gait"]] == [1.0]
-    page = (tmp_path / "report" / "README.md").read_text()
-    assert "| train range | 10 | 100.0% |" in page
-    (tmp_path / "run" / "checkpoint.pt").unlink()  # not read again
-    assert walking.main(["--frames", "32", *folders]) == 0
+    folders = [f"--{name}={tmp_path / name}" for name in ("runs", "output", "policies")]
+    assert walking.main(["--robots", "a1", "--frames", "32", *folders]) == 0
+    report = json.loads((tmp_path / "output" / "walking.json").read_text())["robots"]
+    assert report["a1"]["run"]["frames"] == 32
+    assert {row["n"] for row in report["a1"]["tracking"].values()} == {2 * len(walking.YAW_RATES)}
+    assert [row["command"] for row in report["a1"]["gait"]] == [1.5]
+    assert read_manifest(tmp_path / "policies" / "a1-walking")["training"]["frames"] == 32
+    (tmp_path / "runs" / "a1" / "checkpoint.pt").unlink()  # not read again
+    assert walking.main(["--robots", "spot", "--frames", "32", *folders]) == 0
+    page = (tmp_path / "output" / "README.md").read_text()
+    assert all(f"| {robot} | 0 | 32 | train range | 10 | 100% [" in page for robot in ("a1", "spot"))
+    assert walking.main(["--robots", "a1", "--frames", "64", *folders]) == 2  # a run of other settings

@@ -79,7 +79,7 @@ def test_a_command_beyond_the_range_is_clipped_with_one_warning(runner, q0):
         step(runner, q0, command=(9.0, 0.2))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        for _ in range(40):  # it changes by 3 m/s a second
+        for _ in range(80):  # it changes by 1.5 m/s a second
             step(runner, q0, command=(9.0, 0.2))
         np.testing.assert_allclose(runner.command, (2.2, 0.2), rtol=1e-5)
         step(runner, q0, command=(2.0, 0.2))

@@ -12,11 +12,13 @@ import pytest
 import torch
 
 import torchrl_atr
-from torchrl_atr.deploy import BundleError, PolicyRunner, run_policy
+from torchrl_atr.deploy import BundleError, PolicyRunner, read_manifest, run_policy
+from torchrl_atr.deploy.export import export_run
 from torchrl_atr.deploy.simulation import SimulatedRobot, drive_law
 from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import TRANSPORTERS
 from torchrl_atr.envs.tasks.riding.drive_law import DriveLaw
+from torchrl_atr.training import Trainer, make_config
 
 COMMAND = (1.0, 0.3)
 
@@ -71,6 +73,30 @@ def test_it_rides_ten_seconds_as_our_env_does(bundle):
     settled = np.array(speeds)[250:].mean(0)
     np.testing.assert_allclose(settled, ours["speeds"][0, 250:].mean(0), atol=0.1)
     assert abs(settled - COMMAND).max() < 0.6
+
+
+def test_a_walking_robot_is_that_of_our_env(tmp_path):
+    tiny = {"env.num_envs": 2, "total_frames": 8, "ppo.rollout_steps": 2, "ppo.minibatches": 1}
+    Trainer(make_config({**tiny, "task.name": "walking", "compute.num_threads": 1}), tmp_path / "run").save()
+    export_run(tmp_path / "run", tmp_path / "walker")
+    manifest = read_manifest(tmp_path / "walker")
+    assert manifest["transporter"] is None
+    assert manifest["command"]["clipping"].startswith("speed within [0, 1.5] m/s")
+    assert manifest["dead_reckoning"]["method"] == "integral"
+    policy, make_env = torchrl_atr.load_policy(tmp_path / "walker")
+    env = make_env(num_envs=1, seed=0, randomization="off", num_threads=1)
+    env.curriculum.pin(COMMAND)
+    first = env.reset()
+    robot, readings = SimulatedRobot(tmp_path / "walker"), []
+    robot.reset(env.base_env.get_state()["qpos"][0].numpy())
+    ours = env.rollout(25, policy, auto_reset=False, tensordict=first)
+
+    def watch(state):
+        readings.append(np.concatenate([*state.imu, state.joint_positions, state.joint_velocities]))
+
+    run_policy(PolicyRunner(tmp_path / "walker"), robot, lambda time: COMMAND, 0.5, watch)
+    np.testing.assert_allclose(np.array(readings), ours["proprio"][0, :, :32].numpy(), atol=1e-3)
+    np.testing.assert_allclose(robot.speeds, ours["next", "speeds"][0, -1], atol=1e-2)
 
 
 WITHOUT_TORCH = """

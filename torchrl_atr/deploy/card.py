@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from torchrl_atr._errors import UserError
+from torchrl_atr.deploy.manifest import ground_of
 from torchrl_atr.evaluation.compatibility import compatibility_table
 from torchrl_atr.evaluation.robustness import robustness_table
 from torchrl_atr.runs.provenance import cores
@@ -54,14 +55,15 @@ def figures(run: Path) -> dict[str, Any] | None:
 
 def card(run: Path, manifest: Mapping[str, Any]) -> str:
     """Return the model card as Markdown; the table is the scorecard's own page, whose title is left out."""
-    robot, transporter, command = manifest["robot"]["name"], manifest["transporter"]["name"], manifest["command"]
+    robot, command, support = manifest["robot"]["name"], manifest["command"], ground_of(manifest)
     trained, parity = command["trained"] or {}, manifest["parity"]
     page = run / "README.md"
     lines = [
-        f"# {manifest['name']}: {robot} on {transporter}",
+        f"# {manifest['name']}: {robot} on {support}",
         "",
-        f"A policy that rides: it follows {' and '.join(command['names'])} commands ({', '.join(command['units'])}) "
-        f"from IMU and joint encoders, at {manifest['control']['rate_hz']:g} Hz. Written by `torchrl-atr export`; "
+        f"A policy of the task {manifest['task']}. It follows {' and '.join(command['names'])} commands "
+        f"({', '.join(command['units'])}) from IMU and joint encoders, at {manifest['control']['rate_hz']:g} Hz. "
+        "Written by `torchrl-atr export`; "
         "`manifest.json` says all that a deployment needs, and `torchrl-atr verify` checks the folder.",
         "",
         "```python",

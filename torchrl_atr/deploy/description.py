@@ -8,12 +8,12 @@ from typing import Any
 
 from torchrl_atr._errors import UserError
 from torchrl_atr.deploy.manifest import SCHEMA, VERSION
-from torchrl_atr.deploy.policy_step import SENSORS, target_limits
-from torchrl_atr.envs.models import Scene, Transporter
+from torchrl_atr.deploy.policy_step import CLOCK, SENSORS, target_limits
+from torchrl_atr.envs.models import FlatGround, Scene, Transporter
 from torchrl_atr.envs.models.boards import PLANAR_JOINTS
 from torchrl_atr.envs.models.drives import tilt_drive
 from torchrl_atr.envs.physics import CONTROL_DT, DECIMATION
-from torchrl_atr.envs.tasks.dead_reckoning import METHODS
+from torchrl_atr.envs.tasks.dead_reckoning import METHODS, method_of
 from torchrl_atr.envs.tasks.support_tilt import NAME
 from torchrl_atr.modules import CommandRange
 from torchrl_atr.runs.provenance import machine
@@ -34,11 +34,10 @@ _FRAMES = {
     "joint_velocity": "about each joint's axis",
     "action": "joint displacement from q0 / action scale, as the policy gave it",
     NAME: "computed in policy.onnx: tilt of the feet's plane against the horizontal; left side up, front down, twist",
-    "command": "forward speed, and yaw rate to the left, of the transporter",
+    CLOCK: "computed in policy.onnx: sine and cosine of the gait's phase; zero while the command is to stand still",
+    "command": "forward speed, and yaw rate to the left, of the transporter; of the trunk, if it walks",
 }
-_CLIPPING = (
-    "speed within ±{0:g} m/s, yaw rate within ±{1:g} rad/s; in policy.onnx, so the history holds clipped commands"
-)
+_CLIPPING = "speed within {0} m/s, yaw rate within ±{1:g} rad/s; in policy.onnx, so the history holds clipped commands"
 _LATERAL = "; where |v ω| exceeds {0:g} m/s², the yaw rate is reduced, to {1:g} rad/s at least, then the speed"
 
 
@@ -63,7 +62,9 @@ def describe_policy(
     parts = [(name, term, sizes["proprio"][name]) for name, term in task.observations["proprio"].items()]
     measured = [part for part in parts if part[0] in SENSORS]
     estimated = task.observations["privileged", "extrinsic"]
-    clipping = _CLIPPING.format(limits.max_speed, limits.max_yaw_rate)
+    reckoning = method_of(task.memory)
+    speeds = f"[0, {limits.max_speed:g}]" if limits.forward_only else f"±{limits.max_speed:g}"
+    clipping = _CLIPPING.format(speeds, limits.max_yaw_rate)
     if limits.max_lateral_acceleration is not None:
         clipping += _LATERAL.format(limits.max_lateral_acceleration, limits.least_yaw_rate)
     return {
@@ -111,9 +112,9 @@ def describe_policy(
             "start": "every row is the first observation of the episode; the first last action is zero",
         },
         "dead_reckoning": {
-            "method": config.task.velocity_filter,
+            "method": reckoning,
             "start": "the robot stands at rest",
-            "output": METHODS[config.task.velocity_filter].output,
+            "output": METHODS[reckoning].output,
         },
         "command": {
             **command,
@@ -160,11 +161,15 @@ def _parts(term: Any, size: int) -> list[str]:
     return [str(part) for part in term.parts][:size]
 
 
-def _transporter(scene: Scene) -> dict[str, Any]:
-    """Return the facts of the transporter and its drive law, for a simulation without this package's."""
+def _transporter(scene: Scene) -> dict[str, Any] | None:
+    """Return the facts of the transporter and its drive law, for another simulation; None for flat ground."""
     support = scene.support
+    if isinstance(support, FlatGround):
+        return None
     if not isinstance(support, Transporter):
-        raise UserError(f"a policy on {support.name!r} cannot be exported; only riding is known to the runtime")
+        raise UserError(
+            f"a policy on {support.name!r} cannot be exported; the runtime knows transporters and the floor"
+        )
     spec, interpretation = support.spec, support.interpretation
     return {
         "name": spec.name,

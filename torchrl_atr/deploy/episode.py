@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torchrl.envs.utils import step_mdp
 
 from torchrl_atr.deploy.loading import LoadedPolicy
-from torchrl_atr.deploy.policy_step import SENSORS
+from torchrl_atr.deploy.policy_step import CLOCK, SENSORS
 from torchrl_atr.evaluation.access import deterministic
+from torchrl_atr.modules import CommandRange
 
 STEPS, ROBOTS, COMMAND_STEPS = 180, 2, 30
 """Control steps, robots, and control steps that a command lasts: 3.6 s, in which each robot is pushed once."""
-COMMANDS = ((0.0, 0.0), (1.0, 0.3), (-1.0, 0.0), (0.5, -0.5), (12.0, 1.9), (0.0, 0.6))
-"""Forward speeds, m/s, and yaw rates, rad/s, one after the other; one is beyond what is mastered."""
+COMMANDS = ((1.0, 0.3), *[(12.0, 1.9)] * 3, (0.5, -0.5), (-1.0, 0.0))
+"""Forward speeds, m/s, and yaw rates, rad/s, one after the other; one is beyond what is mastered, and lasts until it is
+reached at the usual rates of change."""
 RESETS = {20: 0, 165: 1, 166: 1}
 """Robot that begins an episode at a step though it has not fallen, by that step."""
+
+
+def _commands(env: Any) -> list[tuple[float, ...]]:
+    """Return commands for an env; a gait's clock runs by what is asked for, so walking robots are asked for no more."""
+    if CLOCK not in env.base_env.task.observations["proprio"]:
+        return list(COMMANDS)
+    grid = env.curriculum.grid
+    speed, yaw_rate = grid.bounds
+    limits = CommandRange(speed, yaw_rate, forward_only=grid.forward_only)
+    return [tuple(limits(torch.tensor(each)).tolist()) for each in COMMANDS]
 
 
 @torch.no_grad()
@@ -32,15 +46,16 @@ def record(loaded: LoadedPolicy, seed: int = 0, steps: int = STEPS) -> dict[str,
     """
     policy, make_env = loaded
     env = make_env(num_envs=ROBOTS, seed=seed, pushes=True)
+    commands = _commands(env)
     sizes = env.base_env.runner.terms.observations.sizes["proprio"]
     rows: dict[str, list[np.ndarray]] = {name: [] for name in ("start", *SENSORS, "command", "action")}
     start = torch.ones(ROBOTS, dtype=torch.bool)
     with deterministic(policy):
-        env.curriculum.pin(COMMANDS[0])
+        env.curriculum.pin(commands[0])
         td = env.reset()
         for step in range(steps):
             if step % COMMAND_STEPS == COMMAND_STEPS - 1:  # observed after this step
-                env.curriculum.pin(COMMANDS[(step // COMMAND_STEPS + 1) % len(COMMANDS)])
+                env.curriculum.pin(commands[(step // COMMAND_STEPS + 1) % len(commands)])
             td = policy(td)
             parts = dict(zip(sizes, td["proprio"].split(list(sizes.values()), -1)))
             values = {**parts, "command": td["command"], "start": start, "action": td["action"]}

@@ -24,13 +24,12 @@ from torchrl_atr.deploy.episode import record
 from torchrl_atr.deploy.loading import load_policy
 from torchrl_atr.deploy.manifest import CARD, EPISODE, MANIFEST, POLICY, SCENE, is_bundle, seal, sha256
 from torchrl_atr.deploy.parity import Parity, verify
-from torchrl_atr.deploy.policy_step import INPUTS, STATE, PolicyStep, StepOutput
+from torchrl_atr.deploy.policy_step import PHASE, PolicyStep, StepOutput
 from torchrl_atr.deploy.reports import copy_reports
 from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import scene_xml
-from torchrl_atr.modules import CommandRange
 from torchrl_atr.runs.files import MODEL
-from torchrl_atr.training import load_run
+from torchrl_atr.training import commanded_range, load_run
 
 LARGEST = 2_000_000
 """Largest size of a bundle without pictures, bytes."""
@@ -81,12 +80,11 @@ def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoin
         check_scorecard(run, state["provenance"])
         networks.deployed_policy()  # a teacher has none
         base = env.base_env
-        grid, recorded = config.grid, networks.command_range
-        assert grid is not None  # of riding; other tasks are refused in the next line but one
-        limits = recorded or CommandRange(*grid.bounds)
-        velocity_filter, rates = config.task.velocity_filter, config.curriculum.slew_rates
-        step = PolicyStep(networks, base.task, base.scene, velocity_filter, limits, rates).eval()
-        manifest = describe_policy(config, base, limits, recorded is not None, state["provenance"])
+        limits = commanded_range(config, networks)
+        if limits is None:
+            raise UserError(f"a policy of the task {base.task.name!r}, without a range of commands, cannot be exported")
+        step = PolicyStep(networks, base.task, base.scene, limits, config.curriculum.slew_rates).eval()
+        manifest = describe_policy(config, base, limits, networks.command_range is not None, state["provenance"])
         manifest = {"name": name, **manifest, "policy": _write_onnx(step, env, folder), "figures": figures(run)}
         _write_scene(base, folder)
     limits.save(folder)
@@ -126,9 +124,9 @@ def _write_onnx(step: PolicyStep, env: Any, folder: Path) -> dict[str, Any]:
                 step,
                 tuple(example.values()),
                 dynamo=True,
-                input_names=list(INPUTS),
+                input_names=list(step.inputs),
                 output_names=list(StepOutput._fields),
-                dynamic_shapes=({0: torch.export.Dim("batch")},) * len(INPUTS),
+                dynamic_shapes=({0: torch.export.Dim("batch")},) * len(step.inputs),
                 opset_version=OPSET,
                 verbose=False,
             )
@@ -146,11 +144,11 @@ def _write_onnx(step: PolicyStep, env: Any, folder: Path) -> dict[str, Any]:
     return {
         "opset": model.opset_import[0].version,
         "producer": f"{model.producer_name} {model.producer_version}",
-        "inputs": {name: list(shapes[name]) for name in INPUTS},
+        "inputs": {name: list(shapes[name]) for name in step.inputs},
         "outputs": {name: list(value.shape[1:]) for name, value in zip(StepOutput._fields, step(*example.values()))},
         "state": [
             {"input": name, "output": output, "shape": list(shapes[name]), "start": "any: start=true sets it"}
-            for name, output in STATE.items()
+            for name, output in step.state.items()
         ],
         "batch": "every tensor has the number of robots, one or more, as its first dimension",
     }
@@ -182,8 +180,9 @@ def _example(step: PolicyStep, env: Any) -> dict[str, torch.Tensor]:
         "dead_reckoning": step.rest.expand(_BATCH, -1),
         "last_action": parts["action"],
         "last_command": first["command"],
+        PHASE: torch.zeros(_BATCH, 1),
     }
-    return {name: given[name].clone() for name in INPUTS}
+    return {name: given[name].clone() for name in step.inputs}
 
 
 def _write_scene(base: Any, folder: Path) -> None:

@@ -70,6 +70,11 @@ def is_bundle(folder: Path) -> bool:
     return (folder / MANIFEST).is_file()
 
 
+def ground_of(manifest: Mapping[str, Any]) -> str:
+    """Return the name of what a bundle's robot stands on."""
+    return "the floor" if manifest["transporter"] is None else str(manifest["transporter"]["name"])
+
+
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file, 64 hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -16,15 +16,19 @@ from torchrl_atr.envs.interpretation import Interpretation
 from torchrl_atr.envs.models import Scene
 from torchrl_atr.envs.models.leg_kinematics import leg_kinematics
 from torchrl_atr.envs.physics.engine import CONTROL_DT
-from torchrl_atr.envs.tasks.dead_reckoning import KEY, METHODS
+from torchrl_atr.envs.tasks.dead_reckoning import KEY, METHODS, method_of
 from torchrl_atr.envs.tasks.proprioception import PROPRIO
 from torchrl_atr.envs.tasks.support_tilt import NAME, feet_tilt
+from torchrl_atr.envs.tasks.walking import gait
 from torchrl_atr.envs.transforms.slew import slew
 from torchrl_atr.modules import CommandRange, NetworkKeys, ROANetworks
 
 SENSORS = tuple(name for name in PROPRIO if name != "action")
 """Sensor values that the policy reads, in the order of its inputs."""
 INPUTS = ("start", *SENSORS, "command", "history", "dead_reckoning", "last_action", "last_command")
+"""Inputs of every policy; one that walks by a clock has the clock's ``phase``, too."""
+CLOCK, PHASE = "clock", "phase"
+"""Names of the clock's observation and of its memory, in the task and here."""
 
 
 class StepOutput(NamedTuple):
@@ -38,7 +42,8 @@ class StepOutput(NamedTuple):
         latent, extrinsic: estimates of the intrinsics' latent and of the extrinsic state (SI units), (N, 0) of what the
             actor does not read.
         dead_reckoned_velocity: m/s.
-        next_history, next_dead_reckoning, next_command: state for the next step; ``action`` is the fourth part of it.
+        next_history, next_dead_reckoning, next_command, next_phase: state for the next step, as ``action`` is; (N, 0)
+            for the phase without a clock.
     """
 
     action: Tensor
@@ -51,6 +56,7 @@ class StepOutput(NamedTuple):
     next_history: Tensor
     next_dead_reckoning: Tensor
     next_command: Tensor
+    next_phase: Tensor
 
 
 STATE = {
@@ -64,12 +70,13 @@ STATE = {
 
 @dataclass
 class _Sensed:
-    """Part of a :class:`~torchrl_atr.envs.tasks.context.StepContext` that the update of a memory term reads."""
+    """Part of a :class:`~torchrl_atr.envs.tasks.context.StepContext` that memory terms and the clock read."""
 
     memory: Mapping[str, Tensor]
     proprio: Mapping[str, Tensor]
     interpretation: Interpretation
     state: Any = None
+    command: Tensor | None = None
 
     def sensed(self, name: str) -> Tensor:
         return self.proprio[name]
@@ -85,12 +92,11 @@ class PolicyStep(nn.Module):
         networks: in eval mode.
         task: that they were trained in.
         scene: of its robot, for q0, action scale and control ranges.
-        method: of the dead reckoning, a name of :data:`~torchrl_atr.envs.tasks.dead_reckoning.METHODS`.
         limits: range that commands are clipped to; None for no clipping.
         slew_rates: largest change of the command per second; None for no limit.
 
     Raises:
-        InputError: if the policy reads anything but sensors, command, history and dead reckoning.
+        InputError: if the policy reads anything but sensors, command, history, dead reckoning and the gait's clock.
     """
 
     rest: Tensor
@@ -104,13 +110,14 @@ class PolicyStep(nn.Module):
         networks: ROANetworks,
         task: Any,
         scene: Scene,
-        method: str,
         limits: CommandRange | None,
         slew_rates: Sequence[float] | None = None,
     ) -> None:
         super().__init__()
         self.order = tuple(task.observations["proprio"])
-        strange = (set(self.order) - {NAME}) ^ {*SENSORS, "action"}
+        clock = task.observations["proprio"].get(CLOCK)
+        self.clocked = clock is not None and clock.function is gait.clock
+        strange = (set(self.order) - {NAME, *[CLOCK] * self.clocked}) ^ {*SENSORS, "action"}
         strange |= {str(key) for key in networks.estimator_inputs if key != NetworkKeys.dead_reckoned_velocity}
         if strange:
             raise InputError(
@@ -118,12 +125,22 @@ class PolicyStep(nn.Module):
                 f"knows nothing; it knows policies that read {', '.join(SENSORS)}, the last action and {KEY}"
             )
         self.networks, self.limits, self.interpretation = networks, limits, task.interpretation
-        self.method, self.scale = METHODS[method], scene.robot.action_scale
+        self.method, self.scale = METHODS[method_of(task.memory)], scene.robot.action_scale
         self.legs = leg_kinematics(scene.robot) if NAME in self.order else None
         for name, value in {"q0": scene.robot.q0, **target_limits(scene), "rest": self._rest()}.items():
             self.register_buffer(name, torch.as_tensor(value, dtype=torch.float32), persistent=False)
         per_step = torch.tensor(slew_rates) * CONTROL_DT if slew_rates else None
         self.register_buffer("slew", per_step, persistent=False)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs, in order."""
+        return (*INPUTS, *[PHASE] * self.clocked)
+
+    @property
+    def state(self) -> dict[str, str]:
+        """Output that each part of the state is read from, by the input that it is the next step's value of."""
+        return {**STATE, **{PHASE: "next_phase"}} if self.clocked else STATE
 
     def _rest(self) -> Tensor:
         """Return the state of the dead reckoning of a robot at rest, (1, size)."""
@@ -136,9 +153,9 @@ class PolicyStep(nn.Module):
         limits = self.limits or CommandRange(math.inf, math.inf)
         in_range = limits(asked)
         if self.slew is None:
-            return in_range, in_range, torch.where(start, 0.0, last)
+            return in_range, in_range, in_range
         # what approaches is bounded by the box alone: the lateral acceleration couples components, rates do not
-        box = CommandRange(limits.max_speed, limits.max_yaw_rate)(asked)
+        box = replace(limits, max_lateral_acceleration=None)(asked)
         approached = torch.where(start, 0.0, slew(last, box, self.slew))
         return in_range, limits(approached), approached
 
@@ -155,6 +172,7 @@ class PolicyStep(nn.Module):
         dead_reckoning: Tensor,
         last_action: Tensor,
         last_command: Tensor,
+        phase: Tensor | None = None,
     ) -> StepOutput:
         """Compute one control step of N robots.
 
@@ -170,10 +188,18 @@ class PolicyStep(nn.Module):
             dead_reckoning: state, (N, size).
             last_action: state, (N, 12).
             last_command: state, (N, 2).
+            phase: state of a policy with a clock, (N, 1).
         """
         in_range, command, approached = self._follow(command, start, last_command)
         sensors = (acceleration, angular_velocity, orientation, joint_position, joint_velocity)
         proprio = dict(zip(SENSORS, sensors), action=torch.where(start, 0.0, last_action))
+        if phase is None:
+            phase = start[:, :0]
+        else:  # in an env the clock runs by the command of the step that has ended
+            ridden = torch.where(start, command, last_command)
+            before: Any = _Sensed({PHASE: phase}, {}, self.interpretation, command=ridden)
+            phase = torch.where(start, 0.0, gait.MEMORY[PHASE].update(before))
+            proprio[CLOCK] = gait.clock(replace(before, memory={PHASE: phase}))
         if self.legs is not None:
             proprio[NAME] = feet_tilt(self.legs(joint_position), orientation)
         observation = torch.cat([*(proprio[name] for name in self.order), command], -1)
@@ -191,7 +217,9 @@ class PolicyStep(nn.Module):
         read = {"history": shown, "latent": latent, "extrinsic": extrinsic}
         action = networks.backbone(observation, *(read[name] for name in networks.backbone.reads))
         targets = torch.clamp(self.q0 + self.scale * action, self.low, self.high)
-        return StepOutput(action, targets, in_range, command, latent, extrinsic, velocity, newest, reckoned, approached)
+        return StepOutput(
+            action, targets, in_range, command, latent, extrinsic, velocity, newest, reckoned, approached, phase
+        )
 
 
 def target_limits(scene: Scene) -> dict[str, list[float]]:

@@ -1,4 +1,4 @@
-"""Robot on its transporter in plain MuJoCo, from a bundle's own scene; no torch, no TorchRL, nothing of our envs."""
+"""Robot on its transporter, or on the floor, in plain MuJoCo, from a bundle's scene; no torch, nothing of our envs."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ def drive_law(speeds: Values, tilt: Values, transporter: Mapping[str, Any], dt: 
 
 
 class SimulatedRobot:
-    """Robot that stands on its transporter in MuJoCo: a :class:`~torchrl_atr.deploy.Robot` with exact sensors.
+    """Robot on its transporter, or on the floor, in MuJoCo: a :class:`~torchrl_atr.deploy.Robot` with exact sensors.
 
     Args:
         bundle: its folder, or the name of an installed policy.
 
     Attributes:
         model, data: of MuJoCo.
-        speeds: of the transporter, forward m/s and yaw rad/s, (2,).
+        speeds: of the transporter, or of the trunk on the floor: forward m/s and yaw rad/s, (2,).
 
     Raises:
         BundleError: if the bundle is damaged, has no scene, or its transporter a drive law of its own.
@@ -66,12 +66,13 @@ class SimulatedRobot:
         except ImportError:
             raise MissingPackageError("mujoco", "deploy") from None
         manifest, folder = read_manifest(bundle), find_policy(bundle)
-        if SCENE not in manifest["files"] or manifest["transporter"]["drive"] != "tilt_drive":
+        transporter = manifest["transporter"]
+        if SCENE not in manifest["files"] or (transporter and transporter["drive"] != "tilt_drive"):
             raise BundleError(
                 f"the bundle {folder} has no scene for plain MuJoCo (the robot has meshes, or the transporter a drive "
                 "law of its own); ride it with `torchrl-atr play`"
             )
-        self._mujoco, self._transporter = mujoco, manifest["transporter"]
+        self._mujoco, self._transporter = mujoco, transporter
         self._gravity, self._steps = manifest["imu"]["gravity_included"], manifest["control"]["simulation_steps"]
         self.model = model = mujoco.MjModel.from_xml_path(str(folder / SCENE))
         self.data = mujoco.MjData(model)
@@ -81,13 +82,18 @@ class SimulatedRobot:
         self._actuators = np.array([driven[joint] for joint in joints])
         free = int(np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
         self._root_q, self._root_v = int(model.jnt_qposadr[free]), int(model.jnt_dofadr[free])
-        planar = [model.joint(name).id for name in self._transporter["planar_joints"]]
-        self._planar_v, self._heading = model.jnt_dofadr[planar], int(model.jnt_qposadr[planar[2]])
-        self._hinges = model.jnt_qposadr[[model.joint(name).id for name in self._transporter["hinges"]]]
-        self._driving = np.array(self._transporter["driving"])
-        own = self._transporter["mass"], self._transporter["mass"], self._transporter["inertia_z"]
-        self._inertia = model.dof_armature[self._planar_v] + own
+        if transporter:
+            self._find_transporter(transporter)
         self.reset()
+
+    def _find_transporter(self, transporter: Mapping[str, Any]) -> None:
+        model = self.model
+        planar = [model.joint(name).id for name in transporter["planar_joints"]]
+        self._planar_v, self._heading = model.jnt_dofadr[planar], int(model.jnt_qposadr[planar[2]])
+        self._hinges = model.jnt_qposadr[[model.joint(name).id for name in transporter["hinges"]]]
+        self._driving = np.array(transporter["driving"])
+        own = transporter["mass"], transporter["mass"], transporter["inertia_z"]
+        self._inertia = model.dof_armature[self._planar_v] + own
 
     def reset(self, qpos: Values | None = None) -> None:
         """Let the robot stand at rest in q0, or be at rest in another configuration, (nq,)."""
@@ -115,8 +121,13 @@ class SimulatedRobot:
         self.model.actuator_biasprm[self._actuators, 2] = -command.gains.kd
         velocity = self.data.qvel[self._root_v : self._root_v + 3].copy()
         for _ in range(self._steps):
-            self._drive(self.model.opt.timestep)
+            if self._transporter:
+                self._drive(self.model.opt.timestep)
             self._mujoco.mj_step(self.model, self.data)
+        if not self._transporter:
+            ahead, turning = self._rotation()[:2, 0], self.data.qvel[self._root_v + 5]
+            ahead = ahead / np.linalg.norm(ahead)
+            self.speeds = np.array([ahead @ self.data.qvel[self._root_v : self._root_v + 2], turning])
         change = self.data.qvel[self._root_v : self._root_v + 3] - velocity
         self._acceleration = change / (self._steps * self.model.opt.timestep)
 

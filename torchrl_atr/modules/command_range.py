@@ -14,7 +14,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from torchrl_atr._checks import check_number
+from torchrl_atr._checks import check_flag, check_number
 from torchrl_atr._errors import InputError
 from torchrl_atr._files import write_json
 from torchrl_atr.modules.keys import NetworkKeys
@@ -35,9 +35,10 @@ class CommandRange:
         max_yaw_rate: of |c_ω|, rad/s.
         max_lateral_acceleration: of |c_v c_ω|, m/s²; None for no such bound.
         least_yaw_rate: lower bound to which a larger yaw rate is reduced before the speed, rad/s.
+        forward_only: whether a negative speed is clipped to zero.
 
     Raises:
-        InputError: for a bound that is not a number, or negative; the message names it.
+        InputError: for a bound that is not a number, or negative, or a ``forward_only`` that is no bool; names it.
 
     Example:
         >>> limits = CommandRange(max_speed=4.0, max_yaw_rate=1.0, max_lateral_acceleration=2.0)
@@ -49,16 +50,19 @@ class CommandRange:
     max_yaw_rate: float
     max_lateral_acceleration: float | None = None
     least_yaw_rate: float = 0.0
+    forward_only: bool = False
 
     def __post_init__(self) -> None:
-        for name, value in dataclasses.asdict(self).items():
-            if value is not None or name != "max_lateral_acceleration":
-                check_number(name, value, low=0.0)
+        for name in ("max_speed", "max_yaw_rate", "least_yaw_rate"):
+            check_number(name, getattr(self, name), low=0.0)
+        if self.max_lateral_acceleration is not None:
+            check_number("max_lateral_acceleration", self.max_lateral_acceleration, low=0.0)
+        check_flag("forward_only", self.forward_only)
 
     def __call__(self, command: Tensor) -> Tensor:
         """Return commands (speed, yaw rate), (..., 2), clipped."""
         speed, yaw_rate = command.unbind(-1)
-        speed = speed.clamp(-self.max_speed, self.max_speed)
+        speed = speed.clamp(0.0 if self.forward_only else -self.max_speed, self.max_speed)
         yaw_rate = yaw_rate.clamp(-self.max_yaw_rate, self.max_yaw_rate)
         if self.max_lateral_acceleration is not None:
             yaw_rate = _within(yaw_rate, self._room(speed).clamp_min(self.least_yaw_rate))

@@ -84,7 +84,7 @@ def commanded_range(config: TrainConfig, networks: Any) -> CommandRange | None:
     """
     if networks.command_range is not None:
         return networks.command_range
-    return None if config.grid is None else CommandRange(*config.grid.bounds)
+    return None if config.grid is None else CommandRange(*config.grid.bounds, forward_only=config.grid.forward_only)
 
 
 def _recipes_envs(

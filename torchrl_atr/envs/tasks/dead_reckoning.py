@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -240,6 +240,16 @@ METHODS: Mapping[str, _Method] = {
     ),
 }
 """Methods by name; each observes a velocity, (N, 3), m/s, the last one also a yaw, (N, 5), m/s and rad."""
+
+
+def method_of(memory: Mapping[str, MemoryTerm], key: str = KEY) -> str:
+    """Return the name of the method by which the memory term ``key`` of a task reckons.
+
+    Raises:
+        KeyError: if it is not of :func:`dead_reckoning`.
+    """
+    names: dict[Any, str] = {method.update: name for name, method in METHODS.items()}
+    return names[getattr(memory[key].update, "func", None)]
 
 
 def dead_reckoning(method: str = "kalman_filter", key: str = KEY) -> tuple[Group, MemoryTerm]:

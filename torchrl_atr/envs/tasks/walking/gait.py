@@ -25,7 +25,7 @@ LEG_PHASE = torch.tensor([0.0, 0.5, 0.5, 0.0])
 
 def moving(c: StepContext) -> Tensor:
     """Return 1 where the command is more than standing still, (N,)."""
-    return (c.command.abs() > MOVING).any(-1).to(c.action.dtype)
+    return (c.command.abs() > MOVING).any(-1).to(c.command.dtype)
 
 
 def _advance(c: StepContext) -> Tensor:
