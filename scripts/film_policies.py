@@ -1,4 +1,4 @@
-"""Film installed policies side by side: ``python scripts/film_policies.py OUTPUT.gif [NAME ...]``; all by default."""
+"""Film policies side by side: ``python scripts/film_policies.py OUTPUT.gif [NAME ...]``; by default all that ride."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the policies of this clone, whatever is installed
 
 from torchrl_atr._errors import UserError
-from torchrl_atr.deploy.manifest import policies
+from torchrl_atr.deploy.manifest import policies, read_manifest
 from torchrl_atr.evaluation.mosaic import record_mosaic
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run
 
@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     riders = {}
     try:
-        for name in given.names or policies():
+        for name in given.names or [name for name in policies() if read_manifest(name)["task"] == "riding"]:
             config, env, networks, _ = load_run(name, num_envs=1, **DEPLOYMENT_OVERRIDES)
             riders[f"{config.task.robot} {config.task.transporter}"] = networks.deployed_policy(), env
         record_mosaic(riders, given.output)

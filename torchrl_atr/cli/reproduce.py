@@ -71,14 +71,17 @@ def _figure6(imports: Sequence[str], **options: Any) -> Make:
     return partial(figure6, **options)
 
 
-def _figure5(imports: Sequence[str], walking: Sequence[str] = (), **options: Any) -> Make:
+def _figure5(imports: Sequence[str], walking: Sequence[str] | None = None, **options: Any) -> Make:
     from torchrl_atr.navigation import load_map
     from torchrl_atr.reproduction.figure5 import figure5
-    from torchrl_atr.reproduction.policies import load_policies
+    from torchrl_atr.reproduction.policies import installed_policies, load_policies
 
     for source in options.get("maps", ()):
         load_map(source)
-    return partial(figure5, walking=load_policies(walking, imports, "--walking"), **options)
+    walkers = (
+        installed_policies(imports, "walking") if walking is None else load_policies(walking, imports, "--walking")
+    )
+    return partial(figure5, walking=walkers, **options)
 
 
 def _figure7(imports: Sequence[str], config: Path | None = None, **options: Any) -> Make:
@@ -123,8 +126,8 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
     own = parser.add_argument_group("figure6")
     own.add_argument("--commands", metavar="FILE", help=".csv or .toml; default: figure6, which is in the package")
     own = parser.add_argument_group("figure5")
-    text = "policies of the walking task, to compare"
-    own.add_argument("--walking", nargs="+", metavar="RUN", help=text)
+    text = "policies of the walking task, to compare; default: all installed ones"
+    own.add_argument("--walking", nargs="*", metavar="RUN", help=text)
     own.add_argument("--maps", nargs="+", metavar="MAP", help="names, .toml files or images; default: open streets")
     own.add_argument("--starts", type=number_in(int, 1, 10_000), metavar="N", help="trips on each; default: 50")
     own = parser.add_argument_group("figure7")
@@ -175,7 +178,7 @@ def _policies(arguments: argparse.Namespace, chosen: Sequence[str]) -> list[Ride
     imports = tuple(arguments.imports or ())
     if arguments.policies is not None:
         return load_policies(arguments.policies, imports)
-    policies = [policy for policy in installed_policies(imports) if policy.rides]
+    policies = installed_policies(imports)
     if not policies:
         raise UserError("no policy that rides is installed; give --policies RUN")
     return policies

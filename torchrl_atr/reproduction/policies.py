@@ -12,7 +12,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from torchrl_atr._errors import InputError
 from torchrl_atr._text import split_label
-from torchrl_atr.deploy.manifest import find_policy, policies
+from torchrl_atr.deploy.manifest import find_policy, policies, read_manifest
 from torchrl_atr.evaluation.ride import MakeEnv
 from torchrl_atr.modules import ROANetworks, fingerprint
 from torchrl_atr.reproduction.paper import PAIRS, did_you_mean
@@ -117,10 +117,11 @@ def _in_order(found: Iterable[RiderPolicy]) -> list[RiderPolicy]:
     return sorted(found, key=lambda each: (order.get(each.name, len(order)), each.name))
 
 
-def installed_policies(imports: Sequence[str] = ()) -> list[RiderPolicy]:
-    """Load the installed policies, the first of each pair."""
+def installed_policies(imports: Sequence[str] = (), task: str = "riding") -> list[RiderPolicy]:
+    """Load the installed policies of a task, the first of each pair."""
     found: dict[str, RiderPolicy] = {}
     for name in policies():
-        policy = load_rider(name, imports)
-        found.setdefault(policy.name, policy)
+        if read_manifest(name)["task"] == task:
+            policy = load_rider(name, imports)
+            found.setdefault(policy.name, policy)
     return _in_order(found.values())
