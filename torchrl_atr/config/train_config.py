@@ -233,6 +233,7 @@ _READ = {
     "ppo.tracking_errors": ("extrinsic",),
     "estimator.dead_reckoning": ("extrinsic",),
     "estimator.shared": ("latent", "extrinsic"),
+    "env.reposition_feet": ("extrinsic",),
 }
 """Settings that need estimates, and which of the actor's inputs these are."""
 
@@ -253,10 +254,12 @@ def _problems(config: TrainConfig) -> Iterator[str]:
             yield f"{path}={cells} must be even, half for each side; or ppo.symmetric=false"
     reads = config.roa.actor_reads
     for path, needed in _READ.items():
-        if operator.attrgetter(path)(config) and (missing := [name for name in needed if name not in reads]):
+        value = operator.attrgetter(path)(config)
+        if value and (missing := [name for name in needed if name not in reads]):
+            on, off = ("true", "false") if value is True else (f"{value:g}", "0")
             yield (
-                f"{path}=true needs an estimate that the actor does not read: roa.actor_reads="
-                f"{','.join(reads) or 'none'} lacks {' and '.join(missing)}; add it there, or set {path}=false"
+                f"{path}={on} needs an estimate that the actor does not read: roa.actor_reads="
+                f"{','.join(reads) or 'none'} lacks {' and '.join(missing)}; add it there, or set {path}={off}"
             )
     for path, units in {"env.overspeed_margin": "m/s and rad/s", "curriculum.slew_rates": "m/s² and rad/s²"}.items():
         if len(given := operator.attrgetter(path)(config)) not in (0, 2):

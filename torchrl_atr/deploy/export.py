@@ -83,6 +83,8 @@ def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoin
         limits = commanded_range(config, networks)
         if limits is None:
             raise UserError(f"a policy of the task {base.task.name!r}, without a range of commands, cannot be exported")
+        if config.env.reposition_feet:
+            raise UserError(f"{run} was trained with env.reposition_feet, whose steps policy.onnx cannot take yet")
         step = PolicyStep(networks, base.task, base.scene, limits, config.curriculum.slew_rates).eval()
         manifest = describe_policy(config, base, limits, networks.command_range is not None, state["provenance"])
         manifest = {"name": name, **manifest, "policy": _write_onnx(step, env, folder), "figures": figures(run)}

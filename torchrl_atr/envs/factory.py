@@ -9,6 +9,7 @@ from typing import Any
 
 from torchrl.envs import TransformedEnv
 
+from torchrl_atr._checks import check_number
 from torchrl_atr._errors import InputError
 from torchrl_atr._registry import nearest
 from torchrl_atr.envs.env import QuadrupedEnv
@@ -17,7 +18,14 @@ from torchrl_atr.envs.physics import EngineName, Simulation
 from torchrl_atr.envs.tasks import RewardError, Task, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 from torchrl_atr.envs.tasks.reconfiguration import Reconfigurable
-from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, TimeLimitGrowth, task_transforms
+from torchrl_atr.envs.tasks.riding.foot_steps import FootSteps
+from torchrl_atr.envs.transforms import (
+    CommandCurriculum,
+    CommandGrid,
+    FootRepositioning,
+    TimeLimitGrowth,
+    task_transforms,
+)
 
 
 class CurriculumEnv(Reconfigurable, TransformedEnv):
@@ -48,6 +56,7 @@ def make_env(
     grid: CommandGrid | None = None,
     command_slew: tuple[float, float] | None = None,
     overspeed_margin: tuple[float, float] | None = None,
+    reposition_feet: float = 0.0,
     compact_storage: bool = False,
     **curriculum: Any,
 ) -> CurriculumEnv:
@@ -76,6 +85,9 @@ def make_env(
         command_slew: largest change of the command per second, in its units; None for commands that jump.
         overspeed_margin: end episodes of robots faster than any command by this much, in the units of the command (for
             training).
+        reposition_feet: distance from their places at which two feet are stepped back, m, for policies that write
+            ``("act", "extrinsic")``; 0 for no such steps. See
+            :class:`~torchrl_atr.envs.tasks.riding.foot_steps.FootSteps`.
         compact_storage: whether collected steps hold the history at the root alone, and reward terms in ``next`` alone
             (for training): see :class:`~torchrl_atr.envs.transforms.CompactStorage`.
         **curriculum: further arguments of :class:`~torchrl_atr.envs.transforms.CommandCurriculum`.
@@ -115,6 +127,7 @@ def make_env(
         command_slew=command_slew,
         overspeed_margin=overspeed_margin,
         overspeed_penalty=env.runner.terms.rewards.termination_cost,
+        foot_repositioning=_foot_repositioning(env, reposition_feet),
         compact_storage=compact_storage,
         unscored_key="moving_start",
         seed=seed,
@@ -168,6 +181,18 @@ def _tracking_max(env: QuadrupedEnv) -> tuple[float, ...]:
             what = "has no positive weight" if name in task.rewards else "is not among its rewards"
             raise _unfit(task, f"the command curriculum scores the reward term {name!r}, which {what}", RewardError)
     return tuple(tracking_max.values())
+
+
+def _foot_repositioning(env: QuadrupedEnv, threshold: float) -> FootRepositioning | None:
+    """Return the transform that steps feet back at this distance, m; None for 0."""
+    if not check_number("reposition_feet", threshold, low=0.0):
+        return None
+    sizes = env.runner.terms.observations.sizes
+    extrinsic = sizes.get(("privileged", "extrinsic"), {})
+    if not {"relative_position", "relative_yaw"} <= set(extrinsic):
+        raise _unfit(env.task, "reposition_feet needs the extrinsic state of riding, where feet have places on a board")
+    steps = FootSteps(env.scene, sizes["proprio"], extrinsic, threshold)
+    return FootRepositioning(steps, steps.start)
 
 
 def _unfit(task: Task, problem: str, error: type[InputError] = InputError) -> InputError:

@@ -96,6 +96,7 @@ def make_env(config: TrainConfig, **overrides: Any) -> TransformedEnv:
         "compact_storage": True,
         "command_slew": config.curriculum.slew_rates or None,
         "overspeed_margin": config.env.overspeed_margin or None,
+        "reposition_feet": config.env.reposition_feet,
         "grid": trained,
     }
     arguments |= {name: value for name, value in overrides.items() if name not in TASK_OVERRIDES}

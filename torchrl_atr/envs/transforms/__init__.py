@@ -2,6 +2,7 @@
 
 from torchrl_atr.envs.transforms.compact_storage import CompactStorage
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
+from torchrl_atr.envs.transforms.foot_repositioning import FootRepositioning
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
@@ -14,6 +15,7 @@ __all__ = [
     "CommandGrid",
     "CommandSlew",
     "CompactStorage",
+    "FootRepositioning",
     "ObservationHistory",
     "OverspeedTermination",
     "RandomizedStepCounter",

@@ -10,6 +10,7 @@ from torchrl.envs.transforms import CatTensors, Compose, RewardSum, StepCounter
 from torchrl_atr._checks import check_flag, check_pair, check_whole
 from torchrl_atr.envs.transforms.compact_storage import CompactStorage
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
+from torchrl_atr.envs.transforms.foot_repositioning import FootRepositioning
 from torchrl_atr.envs.transforms.history import ObservationHistory
 from torchrl_atr.envs.transforms.overspeed import OverspeedTermination
 from torchrl_atr.envs.transforms.slew import CommandSlew
@@ -27,6 +28,7 @@ def task_transforms(
     command_slew: tuple[float, float] | None = None,
     overspeed_margin: tuple[float, float] | None = None,
     overspeed_penalty: float = 0.0,
+    foot_repositioning: FootRepositioning | None = None,
     compact_storage: bool = False,
     **curriculum: Any,
 ) -> Compose:
@@ -49,6 +51,7 @@ def task_transforms(
             curriculum's ``unscored_key``, which start moving, start at their command.
         overspeed_margin: If given, of a :class:`OverspeedTermination` behind the curriculum, m/s and rad/s.
         overspeed_penalty: Added to the reward where an episode ends for its speed.
+        foot_repositioning: If given, it is applied to the actions.
         compact_storage: Whether collected steps hold the history at the root alone, and reward terms in ``next`` alone:
             a :class:`CompactStorage` behind all others.
         **curriculum: Further arguments of :class:`CommandCurriculum`, such as ``window``, ``grid`` or
@@ -80,5 +83,6 @@ def task_transforms(
         if stagger == 0
         else RandomizedStepCounter(max_steps, curriculum.get("seed"), stagger, time_limit_growth),
         RewardSum(),
+        *([] if foot_repositioning is None else [foot_repositioning]),
         *([CompactStorage(at_root=["history"], in_next=["reward_terms"])] if compact_storage else []),
     )
