@@ -250,6 +250,16 @@ def tiny_run(tmp_path):
     return make
 
 
+def test_scripted_steps_are_part_of_the_policy(tmp_path, tiny_run):
+    """The actions of the episode are those that were carried out, steps included."""
+    parity = export_run(tiny_run(**{"env.reposition_feet": 0.005}), tmp_path / "steps")
+    assert parity.error < 1e-4
+    states = read_manifest(tmp_path / "steps")["policy"]["state"]
+    assert [each["shape"] for each in states if each["input"] == "memory"] == [[34]]
+    with np.load(tmp_path / "steps" / EPISODE) as episode:
+        assert np.abs(np.diff(episode["action"], axis=0)).max() > 0.05  # an untrained policy alone hardly moves
+
+
 def test_what_cannot_be_exported_is_refused_and_leaves_nothing(bundle, tmp_path, capsys):
     output = tmp_path / "out"
     assert main(["export", str(bundle), "--output", str(output)]) == 2

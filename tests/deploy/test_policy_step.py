@@ -11,6 +11,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.deploy.episode import record
 from torchrl_atr.deploy.policy_step import SENSORS, PolicyStep
 from torchrl_atr.envs.tasks import ObservationTerm
+from torchrl_atr.envs.transforms import FootRepositioning
 from torchrl_atr.modules import CommandRange
 from torchrl_atr.training import Trainer, load_run, make_config
 
@@ -22,8 +23,9 @@ OTHERS = [
         "task.interpretation.gravity_in_acceleration": True,
         "preset": "concurrent",
     },
+    {"env.reposition_feet": 0.005},
     {"task.name": "walking"},
-    {"task.name": "walking", "task.robot": "spot", "curriculum.slew_rates": (1.5, 0.5)},
+    {"task.name": "walking", "task.robot": "spot"},
     {"preset": "asymmetric", "env.history_length": 3, "task.transporter": "two_board", "curriculum.slew_rates": ()},
 ]
 
@@ -31,20 +33,21 @@ OTHERS = [
 def anything(env, step):
     """Return a state that is not read: all episodes start first."""
     history = torch.full(env.observation_spec["history"].shape, torch.nan)
-    clock = {"phase": torch.full((2, 1), torch.nan)} if step.clocked else {}
-    nothing = {**clock, "last_action": torch.zeros(2, 12), "last_command": torch.full((2, 2), torch.nan)}
+    memory = {"memory": torch.full_like(step.memory(2), torch.nan)} if "memory" in step.inputs else {}
+    nothing = {**memory, "last_action": torch.zeros(2, 12), "last_command": torch.full((2, 2), torch.nan)}
     return {"history": history, "dead_reckoning": step.rest.expand(2, -1), **nothing}
 
 
 @pytest.mark.parametrize("settings", OTHERS)
 def test_it_acts_as_the_policy_does_in_its_env(tmp_path, settings):
     Trainer(make_config({**TINY, **settings}), tmp_path).save()
-    limits = CommandRange(2.0, 1.0, 0.5)
+    limits = CommandRange(2.0, 1.0, 0.5, forward_only=settings.get("task.name") == "walking")
     limits.save(tmp_path)
     config, env, networks, _ = load_run(tmp_path, num_envs=2)
     base = env.base_env
     rates = config.curriculum.slew_rates
-    step = PolicyStep(networks, base.task, base.scene, limits, rates).eval()
+    steps = [each.steps for each in env.transform if isinstance(each, FootRepositioning)]
+    step = PolicyStep(networks, base.task, base.scene, limits, rates, *steps).eval()
     recorded = record(torchrl_atr.load_policy(tmp_path), steps=120)
     episode = {name: torch.from_numpy(value) for name, value in recorded.items()}
     assert episode["start"][1:].any()

@@ -22,14 +22,14 @@ RESETS = {20: 0, 165: 1, 166: 1}
 """Robot that begins an episode at a step though it has not fallen, by that step."""
 
 
-def _commands(env: Any) -> list[tuple[float, ...]]:
-    """Return commands for an env; a gait's clock runs by what is asked for, so walking robots are asked for no more."""
+def _commands(policy: Any, env: Any) -> list[tuple[float, ...]]:
+    """Return commands; a gait's clock runs by what is asked for, so a walking robot is asked for what it does."""
     if CLOCK not in env.base_env.task.observations["proprio"]:
         return list(COMMANDS)
-    grid = env.curriculum.grid
-    speed, yaw_rate = grid.bounds
-    limits = CommandRange(speed, yaw_rate, forward_only=grid.forward_only)
-    return [tuple(limits(torch.tensor(each)).tolist()) for each in COMMANDS]
+    speed, yaw_rate = env.curriculum.grid.bounds
+    box = CommandRange(speed, yaw_rate, forward_only=env.curriculum.grid.forward_only)
+    limits = getattr(policy, "limits", box)
+    return [tuple(limits(box(torch.tensor(each))).tolist()) for each in COMMANDS]
 
 
 @torch.no_grad()
@@ -46,7 +46,7 @@ def record(loaded: LoadedPolicy, seed: int = 0, steps: int = STEPS) -> dict[str,
     """
     policy, make_env = loaded
     env = make_env(num_envs=ROBOTS, seed=seed, pushes=True)
-    commands = _commands(env)
+    commands = _commands(policy, env)
     sizes = env.base_env.runner.terms.observations.sizes["proprio"]
     rows: dict[str, list[np.ndarray]] = {name: [] for name in ("start", *SENSORS, "command", "action")}
     start = torch.ones(ROBOTS, dtype=torch.bool)
@@ -58,10 +58,11 @@ def record(loaded: LoadedPolicy, seed: int = 0, steps: int = STEPS) -> dict[str,
                 env.curriculum.pin(commands[(step // COMMAND_STEPS + 1) % len(commands)])
             td = policy(td)
             parts = dict(zip(sizes, td["proprio"].split(list(sizes.values()), -1)))
-            values = {**parts, "command": td["command"], "start": start, "action": td["action"]}
+            values = {**parts, "command": td["command"], "start": start}
+            td = step_mdp(env.step(td))
+            values["action"] = env.base_env.runner.previous_action  # with the scripted steps, if there are any
             for name, row in rows.items():
                 row.append(values[name].numpy().copy())
-            td = step_mdp(env.step(td))
             start = td["done"].reshape(-1).clone()
             if step + 1 in RESETS:
                 start[RESETS[step + 1]] = True

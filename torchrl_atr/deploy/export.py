@@ -24,10 +24,11 @@ from torchrl_atr.deploy.episode import record
 from torchrl_atr.deploy.loading import load_policy
 from torchrl_atr.deploy.manifest import CARD, EPISODE, MANIFEST, POLICY, SCENE, is_bundle, seal, sha256
 from torchrl_atr.deploy.parity import Parity, verify
-from torchrl_atr.deploy.policy_step import PHASE, PolicyStep, StepOutput
+from torchrl_atr.deploy.policy_step import MEMORY, PolicyStep, StepOutput
 from torchrl_atr.deploy.reports import copy_reports
 from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import scene_xml
+from torchrl_atr.envs.transforms import FootRepositioning
 from torchrl_atr.runs.files import MODEL
 from torchrl_atr.training import commanded_range, load_run
 
@@ -83,9 +84,8 @@ def _write(run: Path, folder: Path, name: str, imports: Sequence[str], checkpoin
         limits = commanded_range(config, networks)
         if limits is None:
             raise UserError(f"a policy of the task {base.task.name!r}, without a range of commands, cannot be exported")
-        if config.env.reposition_feet:
-            raise UserError(f"{run} was trained with env.reposition_feet, whose steps policy.onnx cannot take yet")
-        step = PolicyStep(networks, base.task, base.scene, limits, config.curriculum.slew_rates).eval()
+        steps: Any = next((each.steps for each in env.transform if isinstance(each, FootRepositioning)), None)
+        step = PolicyStep(networks, base.task, base.scene, limits, config.curriculum.slew_rates, steps).eval()
         manifest = describe_policy(config, base, limits, networks.command_range is not None, state["provenance"])
         manifest = {"name": name, **manifest, "policy": _write_onnx(step, env, folder), "figures": figures(run)}
         _write_scene(base, folder)
@@ -182,7 +182,7 @@ def _example(step: PolicyStep, env: Any) -> dict[str, torch.Tensor]:
         "dead_reckoning": step.rest.expand(_BATCH, -1),
         "last_action": parts["action"],
         "last_command": first["command"],
-        PHASE: torch.zeros(_BATCH, 1),
+        MEMORY: step.memory(_BATCH),
     }
     return {name: given[name].clone() for name in step.inputs}
 

@@ -18,6 +18,7 @@ from torchrl_atr.envs.models.leg_kinematics import leg_kinematics
 from torchrl_atr.envs.physics.engine import CONTROL_DT
 from torchrl_atr.envs.tasks.dead_reckoning import KEY, METHODS, method_of
 from torchrl_atr.envs.tasks.proprioception import PROPRIO
+from torchrl_atr.envs.tasks.riding.foot_steps import FootSteps
 from torchrl_atr.envs.tasks.support_tilt import NAME, feet_tilt
 from torchrl_atr.envs.tasks.walking import gait
 from torchrl_atr.envs.transforms.slew import slew
@@ -26,24 +27,26 @@ from torchrl_atr.modules import CommandRange, NetworkKeys, ROANetworks
 SENSORS = tuple(name for name in PROPRIO if name != "action")
 """Sensor values that the policy reads, in the order of its inputs."""
 INPUTS = ("start", *SENSORS, "command", "history", "dead_reckoning", "last_action", "last_command")
-"""Inputs of every policy; one that walks by a clock has the clock's ``phase``, too."""
-CLOCK, PHASE = "clock", "phase"
-"""Names of the clock's observation and of its memory, in the task and here."""
+"""Inputs of every policy."""
+MEMORY = "memory"
+"""Further input of a policy that walks by a clock, its phase, and of one with scripted steps, their state."""
+CLOCK, _PHASE = "clock", "phase"
+"""Names of the clock's observation and of its memory term."""
 
 
 class StepOutput(NamedTuple):
     """Outputs of :class:`PolicyStep`, (N, ...) each.
 
     Attributes:
-        action: joint displacement in units of the action scale.
+        action: joint displacement in units of the action scale, that of scripted steps included.
         joint_targets: q0 + scale · action within the joints' control ranges, rad.
         command_in_range: the command that is asked for, clipped to the range.
         command_in_force: what is followed: it approaches the command at a limited rate.
         latent, extrinsic: estimates of the intrinsics' latent and of the extrinsic state (SI units), (N, 0) of what the
             actor does not read.
         dead_reckoned_velocity: m/s.
-        next_history, next_dead_reckoning, next_command, next_phase: state for the next step, as ``action`` is; (N, 0)
-            for the phase without a clock.
+        next_history, next_dead_reckoning, next_command, next_memory: state for the next step, as ``action`` is; the
+            memory is (N, 0) where there is none.
     """
 
     action: Tensor
@@ -56,7 +59,7 @@ class StepOutput(NamedTuple):
     next_history: Tensor
     next_dead_reckoning: Tensor
     next_command: Tensor
-    next_phase: Tensor
+    next_memory: Tensor
 
 
 STATE = {
@@ -94,6 +97,7 @@ class PolicyStep(nn.Module):
         scene: of its robot, for q0, action scale and control ranges.
         limits: range that commands are clipped to; None for no clipping.
         slew_rates: largest change of the command per second; None for no limit.
+        steps: scripted steps, if the policy was trained with them.
 
     Raises:
         InputError: if the policy reads anything but sensors, command, history, dead reckoning and the gait's clock.
@@ -112,8 +116,10 @@ class PolicyStep(nn.Module):
         scene: Scene,
         limits: CommandRange | None,
         slew_rates: Sequence[float] | None = None,
+        steps: FootSteps | None = None,
     ) -> None:
         super().__init__()
+        self.steps = steps
         self.order = tuple(task.observations["proprio"])
         clock = task.observations["proprio"].get(CLOCK)
         self.clocked = clock is not None and clock.function is gait.clock
@@ -135,12 +141,20 @@ class PolicyStep(nn.Module):
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the inputs, in order."""
-        return (*INPUTS, *[PHASE] * self.clocked)
+        return (*INPUTS, *[MEMORY] * self._remembers)
 
     @property
     def state(self) -> dict[str, str]:
         """Output that each part of the state is read from, by the input that it is the next step's value of."""
-        return {**STATE, **{PHASE: "next_phase"}} if self.clocked else STATE
+        return {**STATE, **{MEMORY: f"next_{MEMORY}"}} if self._remembers else STATE
+
+    @property
+    def _remembers(self) -> bool:
+        return self.clocked or self.steps is not None
+
+    def memory(self, robots: int) -> Tensor:
+        """Return the memory at the start of an episode, (N, S), zero-sized without one."""
+        return torch.zeros(robots, int(self.clocked)) if self.steps is None else self.steps.start(robots)
 
     def _rest(self) -> Tensor:
         """Return the state of the dead reckoning of a robot at rest, (1, size)."""
@@ -172,7 +186,7 @@ class PolicyStep(nn.Module):
         dead_reckoning: Tensor,
         last_action: Tensor,
         last_command: Tensor,
-        phase: Tensor | None = None,
+        memory: Tensor | None = None,
     ) -> StepOutput:
         """Compute one control step of N robots.
 
@@ -188,18 +202,17 @@ class PolicyStep(nn.Module):
             dead_reckoning: state, (N, size).
             last_action: state, (N, 12).
             last_command: state, (N, 2).
-            phase: state of a policy with a clock, (N, 1).
+            memory: state, see :meth:`memory`.
         """
         in_range, command, approached = self._follow(command, start, last_command)
         sensors = (acceleration, angular_velocity, orientation, joint_position, joint_velocity)
         proprio = dict(zip(SENSORS, sensors), action=torch.where(start, 0.0, last_action))
-        if phase is None:
-            phase = start[:, :0]
-        else:  # in an env the clock runs by the command of the step that has ended
+        memory = command[:, :0] if memory is None else torch.where(start, self.memory(1), memory)
+        if self.clocked:  # in an env the clock runs by the command of the step that has ended
             ridden = torch.where(start, command, last_command)
-            before: Any = _Sensed({PHASE: phase}, {}, self.interpretation, command=ridden)
-            phase = torch.where(start, 0.0, gait.MEMORY[PHASE].update(before))
-            proprio[CLOCK] = gait.clock(replace(before, memory={PHASE: phase}))
+            before: Any = _Sensed({_PHASE: memory}, {}, self.interpretation, command=ridden)
+            memory = torch.where(start, 0.0, gait.MEMORY[_PHASE].update(before))
+            proprio[CLOCK] = gait.clock(replace(before, memory={_PHASE: memory}))
         if self.legs is not None:
             proprio[NAME] = feet_tilt(self.legs(joint_position), orientation)
         observation = torch.cat([*(proprio[name] for name in self.order), command], -1)
@@ -216,9 +229,11 @@ class PolicyStep(nn.Module):
             extrinsic = networks.extrinsic_estimator(shown, *([velocity] if networks.estimator_inputs else []))
         read = {"history": shown, "latent": latent, "extrinsic": extrinsic}
         action = networks.backbone(observation, *(read[name] for name in networks.backbone.reads))
+        if self.steps is not None:
+            action, memory = self.steps(action, observation[:, : -command.shape[-1]], extrinsic, memory)
         targets = torch.clamp(self.q0 + self.scale * action, self.low, self.high)
         return StepOutput(
-            action, targets, in_range, command, latent, extrinsic, velocity, newest, reckoned, approached, phase
+            action, targets, in_range, command, latent, extrinsic, velocity, newest, reckoned, approached, memory
         )
 
 

@@ -128,7 +128,7 @@ class FootSteps:
         target = origin + eased * shift + lift * self._joints[..., 2].flatten()
         fades = (progress > SWING) & (progress <= SWING + BLEND)
         weight = torch.where(swings, 1.0, torch.where(fades, 1.0 - (progress - SWING) / BLEND, 0.0))
-        weight = weight * _of_pair(pair).repeat_interleave(JOINTS_PER_LEG, -1)
+        weight = (weight * _of_pair(pair)).unsqueeze(-1).expand(-1, -1, JOINTS_PER_LEG).flatten(-2)
         return action + weight * (target / self._scale - action)
 
 
