@@ -11,7 +11,7 @@ from torchrl.envs.utils import step_mdp
 from torchrl_atr.deploy.loading import LoadedPolicy
 from torchrl_atr.deploy.policy_step import CLOCK, SENSORS
 from torchrl_atr.evaluation.access import deterministic
-from torchrl_atr.modules import CommandRange
+from torchrl_atr.training.loading import grid_range
 
 STEPS, ROBOTS, COMMAND_STEPS = 180, 2, 30
 """Control steps, robots, and control steps that a command lasts: 3.6 s, in which each robot is pushed once."""
@@ -26,8 +26,7 @@ def _commands(policy: Any, env: Any) -> list[tuple[float, ...]]:
     """Return commands; a gait's clock runs by what is asked for, so a walking robot is asked for what it does."""
     if CLOCK not in env.base_env.task.observations["proprio"]:
         return list(COMMANDS)
-    speed, yaw_rate = env.curriculum.grid.bounds
-    box = CommandRange(speed, yaw_rate, forward_only=env.curriculum.grid.forward_only)
+    box = grid_range(env.curriculum.grid)
     limits = getattr(policy, "limits", box)
     return [tuple(limits(box(torch.tensor(each))).tolist()) for each in COMMANDS]
 

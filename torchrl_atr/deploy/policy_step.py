@@ -146,7 +146,7 @@ class PolicyStep(nn.Module):
     @property
     def state(self) -> dict[str, str]:
         """Output that each part of the state is read from, by the input that it is the next step's value of."""
-        return {**STATE, **{MEMORY: f"next_{MEMORY}"}} if self._remembers else STATE
+        return {**STATE, MEMORY: "next_memory"} if self._remembers else STATE
 
     @property
     def _remembers(self) -> bool:
@@ -207,7 +207,7 @@ class PolicyStep(nn.Module):
         in_range, command, approached = self._follow(command, start, last_command)
         sensors = (acceleration, angular_velocity, orientation, joint_position, joint_velocity)
         proprio = dict(zip(SENSORS, sensors), action=torch.where(start, 0.0, last_action))
-        memory = command[:, :0] if memory is None else torch.where(start, self.memory(1), memory)
+        memory = command[:, :0] if memory is None else memory
         if self.clocked:  # in an env the clock runs by the command of the step that has ended
             ridden = torch.where(start, command, last_command)
             before: Any = _Sensed({_PHASE: memory}, {}, self.interpretation, command=ridden)
@@ -230,6 +230,7 @@ class PolicyStep(nn.Module):
         read = {"history": shown, "latent": latent, "extrinsic": extrinsic}
         action = networks.backbone(observation, *(read[name] for name in networks.backbone.reads))
         if self.steps is not None:
+            memory = torch.where(start, self.steps.start(1), memory)
             action, memory = self.steps(action, observation[:, : -command.shape[-1]], extrinsic, memory)
         targets = torch.clamp(self.q0 + self.scale * action, self.low, self.high)
         return StepOutput(

@@ -191,8 +191,7 @@ def _foot_repositioning(env: QuadrupedEnv, threshold: float) -> FootRepositionin
     extrinsic = sizes.get(("privileged", "extrinsic"), {})
     if not {"relative_position", "relative_yaw"} <= set(extrinsic):
         raise _unfit(env.task, "reposition_feet needs the extrinsic state of riding, where feet have places on a board")
-    steps = FootSteps(env.scene, sizes["proprio"], extrinsic, threshold)
-    return FootRepositioning(steps, steps.start)
+    return FootRepositioning(FootSteps(env.scene, sizes["proprio"], extrinsic, threshold))
 
 
 def _unfit(task: Task, problem: str, error: type[InputError] = InputError) -> InputError:

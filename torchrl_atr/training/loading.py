@@ -11,6 +11,7 @@ from torchrl.envs import EnvBase
 from torchrl_atr.config import TrainConfig
 from torchrl_atr.deploy.manifest import find_policy, is_bundle
 from torchrl_atr.envs.models.identity import PARTS
+from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.modules import CommandRange, EstimatorError
 from torchrl_atr.runs.checkpoint import CheckpointError, load_checkpoint
 from torchrl_atr.runs.restoring import check_model, checkpoint_config, deployed_weights, load_networks
@@ -84,7 +85,13 @@ def commanded_range(config: TrainConfig, networks: Any) -> CommandRange | None:
     """
     if networks.command_range is not None:
         return networks.command_range
-    return None if config.grid is None else CommandRange(*config.grid.bounds, forward_only=config.grid.forward_only)
+    return None if config.grid is None else grid_range(config.grid)
+
+
+def grid_range(grid: CommandGrid) -> CommandRange:
+    """Return the range of all commands of a grid."""
+    speed, yaw_rate = grid.bounds
+    return CommandRange(speed, yaw_rate, forward_only=grid.forward_only)
 
 
 def _recipes_envs(

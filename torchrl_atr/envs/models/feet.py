@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -12,6 +13,11 @@ from torchrl_atr.envs.models.robot import RobotSpec
 
 FOOT_SHARE = 0.75
 """Share of the way from a leg's last joint to the named geom beyond which a colliding geom is part of the foot."""
+
+
+def foot_positions(data: mujoco.MjData, feet: Sequence[Sequence[int]]) -> NDArray[np.float64]:
+    """Return the position of each foot, the mean of its geoms' centres, in current kinematics, m, (4, 3)."""
+    return np.stack([data.geom_xpos[list(foot)].mean(0) for foot in feet])
 
 
 def find_feet(model: mujoco.MjModel, robot: RobotSpec) -> tuple[tuple[int, ...], ...]:

@@ -11,7 +11,7 @@ import torch
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from torchrl_atr.envs.models.feet import find_feet
+from torchrl_atr.envs.models.feet import find_feet, foot_positions
 from torchrl_atr.envs.models.loading import load_robot_model
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS, RobotSpec
 
@@ -51,7 +51,7 @@ class LegKinematics:
         mujoco.mj_kinematics(model, data)
         shape = (len(LEGS), JOINTS_PER_LEG, 3)
         self.anchors, self.axes = (_tensor(values[joints]).reshape(shape) for values in (data.xanchor, data.xaxis))
-        self.feet = _tensor(np.stack([data.geom_xpos[list(foot)].mean(0) for foot in find_feet(model, robot)]))
+        self.feet = _tensor(foot_positions(data, find_feet(model, robot)))
 
     def __call__(self, angles: Tensor) -> Tensor:
         """Return the feet's positions in the trunk's frame, m, (N, 4, 3), for joint angles, rad, (N, 12)."""

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_atr.envs.models.feet import find_feet, reach
+from torchrl_atr.envs.models.feet import find_feet, foot_positions, reach
 from torchrl_atr.envs.models.robot import LEGS, RobotSpec
 from torchrl_atr.envs.models.support import Support
 
@@ -40,7 +40,7 @@ def standing_qpos(model: mujoco.MjModel, robot: RobotSpec, support: Support) -> 
     data.qpos[root : root + 7] = [0, 0, 0, 1, 0, 0, 0]
     mujoco.mj_kinematics(model, data)
     geoms = find_feet(model, robot)
-    feet = _centres(data, geoms)
+    feet = foot_positions(data, geoms)
     _check_upright(feet, robot)
     slope, _ = np.polyfit(feet[:, 0], feet[:, 2], 1)
     pitch = math.atan(slope)  # turning by +pitch about y lowers the front by as much
@@ -51,14 +51,9 @@ def standing_qpos(model: mujoco.MjModel, robot: RobotSpec, support: Support) -> 
     _check_level(soles, pitch, robot)
     _check_height(-soles.min(), robot)
     com = data.subtree_com[model.body(robot.trunk).id]
-    _check_on_surface(_centres(data, geoms)[:, :2] - com[:2], robot, support)
+    _check_on_surface(foot_positions(data, geoms)[:, :2] - com[:2], robot, support)
     data.qpos[root : root + 3] = [-com[0], -com[1], support.height - soles.min()]
     return data.qpos.copy()
-
-
-def _centres(data: mujoco.MjData, feet: tuple[tuple[int, ...], ...]) -> NDArray[np.float64]:
-    """Return the position of each foot, the mean of its geoms' centres, m, (4, 3)."""
-    return np.stack([data.geom_xpos[list(foot)].mean(0) for foot in feet])
 
 
 def lowest_point(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:

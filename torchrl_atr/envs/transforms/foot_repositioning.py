@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NoReturn
+from typing import NoReturn, Protocol
 
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
@@ -13,8 +12,17 @@ from torchrl.envs.transforms import Transform
 
 from torchrl_atr._checks import check_key
 
-Steps = Callable[[Tensor, Tensor, Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Function of action, proprio, x_ext and state; returns the action that is carried out and the state after it."""
+
+class ScriptedSteps(Protocol):
+    """Change of a policy's action, such as :class:`~torchrl_atr.envs.tasks.riding.foot_steps.FootSteps`."""
+
+    def start(self, robots: int) -> Tensor:
+        """Return the state at the start of an episode, (N, S)."""
+        ...
+
+    def __call__(self, action: Tensor, proprio: Tensor, extrinsic: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the action that is carried out, and the state after it."""
+        ...
 
 
 class FootRepositioning(Transform):
@@ -25,8 +33,7 @@ class FootRepositioning(Transform):
     steps' is an entry of the TensorDict. Without the extrinsic entry, as of a random policy, actions stay as they are.
 
     Args:
-        steps: such as :class:`~torchrl_atr.envs.tasks.riding.foot_steps.FootSteps`.
-        start: ``start(n)`` returns the state at the start of n robots' episodes, (n, S).
+        steps: what changes the actions.
         state_key: the state, ``(*B, S)``.
         action_key: the action, ``(*B, 12)``.
         proprio_key: what the robot senses.
@@ -41,8 +48,7 @@ class FootRepositioning(Transform):
 
     def __init__(
         self,
-        steps: Steps,
-        start: Callable[[int], Tensor],
+        steps: ScriptedSteps,
         *,
         state_key: NestedKey = "foot_steps",
         action_key: NestedKey = "action",
@@ -50,7 +56,7 @@ class FootRepositioning(Transform):
         extrinsic_key: NestedKey = ("act", "extrinsic"),
     ) -> None:
         super().__init__(in_keys=[], out_keys=[check_key("state_key", state_key)])
-        self.steps, self.start, self.state_key = steps, start, state_key
+        self.steps, self.state_key = steps, state_key
         self.action_key, self.proprio_key = check_key("action_key", action_key), check_key("proprio_key", proprio_key)
         self.extrinsic_key = check_key("extrinsic_key", extrinsic_key)
 
@@ -63,7 +69,7 @@ class FootRepositioning(Transform):
         return tensordict.set(self.action_key, action).set(self.state_key, state)
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set(self.state_key, self.start(tensordict_reset.batch_size.numel()))
+        return tensordict_reset.set(self.state_key, self.steps.start(tensordict_reset.batch_size.numel()))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set(self.state_key, tensordict.get(self.state_key))
@@ -78,6 +84,6 @@ class FootRepositioning(Transform):
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Declare the state."""
-        shape = (*observation_spec.shape, self.start(1).shape[-1])
+        shape = (*observation_spec.shape, self.steps.start(1).shape[-1])
         observation_spec[self.state_key] = Unbounded(shape, device=observation_spec.device)
         return observation_spec

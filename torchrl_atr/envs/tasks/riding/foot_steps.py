@@ -8,12 +8,14 @@ from collections.abc import Mapping
 import mujoco
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchrl_atr.envs.models import Scene
-from torchrl_atr.envs.models.feet import find_feet
-from torchrl_atr.envs.models.leg_kinematics import leg_kinematics
+from torchrl_atr.envs.models.feet import find_feet, foot_positions
+from torchrl_atr.envs.models.leg_kinematics import LegKinematics, leg_kinematics
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS
-from torchrl_atr.envs.tasks.rotations import matrix_from_euler
+from torchrl_atr.envs.tasks.rotations import matrix_from_euler, rotate, rotate_back
+from torchrl_atr.envs.tasks.sensor_errors import columns_of
 
 SWING, BLEND, REST = 6, 5, 50
 """Control steps that two feet are in the air, that their legs take back to the policy's targets, and that all four then
@@ -68,8 +70,9 @@ class FootSteps:
         self._legs, self._q0 = leg_kinematics(scene.robot), torch.tensor(scene.robot.q0, dtype=torch.float32)
         self._joints = _joints_per_metre(self._legs, self._q0)
         self._home = _standing_feet(scene)
-        self._orientation, self._angles = (_place(proprio, name) for name in ("orientation", "joint_position"))
-        self._position, self._yaw = (_place(extrinsic, name) for name in ("relative_position", "relative_yaw"))
+        sensed, estimated = columns_of(proprio), columns_of(extrinsic)
+        self._orientation, self._angles = sensed["orientation"], sensed["joint_position"]
+        self._position, self._yaw = estimated["relative_position"], estimated["relative_yaw"]
 
     def start(self, robots: int) -> Tensor:
         """Return the state at the start of an episode, (N, :data:`STATE_SIZE`)."""
@@ -88,8 +91,9 @@ class FootSteps:
         """
         progress, pair, mean, origin, shift = state.split(_SIZES, -1)
         angles, mean = proprio[:, self._angles], mean.unflatten(-1, (len(LEGS), 2))
-        level, turn = self._frames(proprio[:, self._orientation], extrinsic[:, self._yaw])
-        feet = _apply(turn, _apply(level, self._legs(angles)))[..., :2] + extrinsic[:, None, self._position]
+        roll, pitch, yaw = torch.cat([proprio[:, self._orientation], extrinsic[:, self._yaw]], -1).unbind(-1)
+        to_board = matrix_from_euler(roll, pitch, yaw).unsqueeze(-3)  # from the trunk's frame
+        feet = rotate(to_board, self._legs(angles))[..., :2] + extrinsic[:, None, self._position]
         mean = self._remember(feet, mean, progress, pair)
         progress = torch.where(progress < 0, float(_CYCLE - SETTLING), progress)
         offset = mean - self._home
@@ -98,27 +102,16 @@ class FootSteps:
         pair = torch.where(begins, furthest.to(pair), pair)
         progress = torch.where(begins | (progress > 0), progress + 1, progress)
         progress = torch.where(progress > _CYCLE, 0.0, progress)
-        home = torch.nn.functional.pad(-offset, (0, 1))  # from where they are, in the board's frame
-        moved = self._to_joints(_apply(level.mT, _apply(turn.mT, home)))
+        moved = rotate(self._joints, rotate_back(to_board, pad(-offset, (0, 1)))).flatten(-2)
         origin, shift = torch.where(begins, angles - self._q0, origin), torch.where(begins, moved, shift)
         carried_out = self._blend(action, progress, pair, origin, shift)
         return carried_out, torch.cat([progress, pair, mean.flatten(-2), origin, shift], -1)
-
-    def _frames(self, orientation: Tensor, yaw: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the rotations from the trunk to its level heading, and from there to the board's, (N, 3, 3)."""
-        roll, pitch = orientation.unbind(-1)
-        zero = torch.zeros_like(roll)
-        return matrix_from_euler(roll, pitch, zero), matrix_from_euler(zero, zero, yaw[:, 0])
 
     def _remember(self, feet: Tensor, mean: Tensor, progress: Tensor, pair: Tensor) -> Tensor:
         """Return the running mean of the feet's places; feet that have just landed are in theirs."""
         landed = (progress == SWING + 1).unsqueeze(-1) & (_of_pair(pair) > 0).unsqueeze(-1)
         mean = torch.where(landed, self._home, mean + SHARE * (feet - mean))
         return torch.where((progress < 0).unsqueeze(-1), feet, mean)
-
-    def _to_joints(self, displacement: Tensor) -> Tensor:
-        """Return joint displacements, rad, (N, 12), that move the feet by these vectors in the trunk's frame."""
-        return torch.einsum("lij,nlj->nli", self._joints, displacement).flatten(-2)
 
     def _blend(self, action: Tensor, progress: Tensor, pair: Tensor, origin: Tensor, shift: Tensor) -> Tensor:
         phase = (progress / SWING).clamp(max=1.0)
@@ -137,19 +130,9 @@ def _of_pair(pair: Tensor) -> Tensor:
     return torch.where(pair > 0.5, PAIRS[1].to(pair), PAIRS[0].to(pair))
 
 
-def _apply(rotation: Tensor, vectors: Tensor) -> Tensor:
-    return torch.einsum("nij,nlj->nli", rotation, vectors)
-
-
-def _place(sizes: Mapping[str, int], name: str) -> slice:
-    names = list(sizes)
-    first = sum(sizes[each] for each in names[: names.index(name)])
-    return slice(first, first + sizes[name])
-
-
-def _joints_per_metre(legs: object, q0: Tensor) -> Tensor:
+def _joints_per_metre(legs: LegKinematics, q0: Tensor) -> Tensor:
     """Return the inverse Jacobian of each leg in q0, rad/m, (4, 3, 3): from the trunk's frame to joints."""
-    jacobian = torch.autograd.functional.jacobian(legs, q0)  # type: ignore[arg-type]
+    jacobian = torch.autograd.functional.jacobian(legs, q0)
     own = [jacobian[leg][:, JOINTS_PER_LEG * leg : JOINTS_PER_LEG * (leg + 1)] for leg in range(len(LEGS))]
     return torch.linalg.inv(torch.stack(own))
 
@@ -159,5 +142,5 @@ def _standing_feet(scene: Scene) -> Tensor:
     data = mujoco.MjData(scene.model)
     mujoco.mj_resetDataKeyframe(scene.model, data, scene.model.key("stand").id)
     mujoco.mj_kinematics(scene.model, data)
-    feet = find_feet(scene.model, scene.robot)
-    return torch.stack([torch.tensor(data.geom_xpos[list(foot), :2].mean(0), dtype=torch.float32) for foot in feet])
+    feet = foot_positions(data, find_feet(scene.model, scene.robot))
+    return torch.tensor(feet[:, :2], dtype=torch.float32)
