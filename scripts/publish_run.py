@@ -8,7 +8,6 @@ RUN`` the figures and some pictures are copied, and the scorecard is written aga
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import sys
 from pathlib import Path
@@ -20,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # the version that this clon
 from benchmarks import scorecard
 from torchrl_atr._errors import UserError
 from torchrl_atr._files import atomic
+from torchrl_atr.deploy.card import read_report
 from torchrl_atr.runs.checkpoint import NAME
 from torchrl_atr.runs.files import CONFIG, MODEL, ORIGIN, copy_log
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_checkpoint, load_run
@@ -72,7 +72,7 @@ def publish_evaluations(run: Path, output: Path) -> None:
         for file in OF_THE_RUN:
             shutil.copyfile(run / "tracking" / file, output / file)
     if rows:
-        seed = json.loads((output / rows[0] / REPORT).read_text(encoding="utf-8"))["evaluation"]["seed"]
+        seed = read_report(output / rows[0] / REPORT)["evaluation"]["seed"]
         scorecard.measure(output, seed, rows)
 
 

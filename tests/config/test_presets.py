@@ -10,6 +10,7 @@ from torch import nn
 import torchrl_atr
 from torchrl_atr._settings import settings
 from torchrl_atr.envs import get_interpretation
+from torchrl_atr.envs.tasks.riding import RIDING_REWARDS
 from torchrl_atr.envs.transforms import OverspeedTermination, RandomizedStepCounter
 from torchrl_atr.listings import settings_page
 from torchrl_atr.modules.symmetry import EquivariantLinear
@@ -28,6 +29,7 @@ ADDITIONS = {  # setting and the value that turns it off, kept apart from the de
     "task.displaced_start": 0.0,
     "task.steering_weight_peak": 1.0,
     "task.steadiness": 0.0,
+    "task.slip_weight": 0.0,
     "task.stance": (),
     "task.pushes.interval": 3.0,
     "task.interpretation.coulomb_smoothing": 0.0,
@@ -84,7 +86,7 @@ def test_what_the_paper_prints_is_in_its_preset():
     task = PAPER.make_task()
     pushes = [step for step in range(1, 500) if step % task.disturbances["push"].steps == 0]
     assert pushes == [150, 300, 450]  # 3, 6 and 9 s
-    assert task.rewards == TrainConfig().make_task().rewards
+    assert task.rewards == RIDING_REWARDS
     assert task.interpretation == get_interpretation("paper") == PAPER.task.interpretation
 
 

@@ -36,6 +36,7 @@ def _state(**given: object) -> RidingState:
         "speeds": torch.zeros(2),
         "driving_tilt": torch.zeros(2),
         "driven_acceleration": torch.zeros(2),
+        "foot_slip": torch.zeros(4),
     }
     vectors = "velocity acceleration angular_velocity platform_velocity platform_acceleration other_force"
     for name in [*vectors.split(), "platform_angular_velocity", "platform_angular_acceleration"]:

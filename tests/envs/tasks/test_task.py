@@ -91,9 +91,21 @@ def test_steadiness_and_the_weight_of_a_fall_are_the_learners_alone():
     assert set(riding(rewards=few, steadiness=1.0).reward_schedule) == {"body_orientation"}
 
 
+def test_feet_that_slide_cost_what_is_asked_and_nothing_by_default():
+    added = {name: term for name, term in riding(slip_weight=20.0).rewards.items() if name not in riding().rewards}
+    assert {name: term.weight for name, term in added.items()} == {"foot_slip": -20.0}
+    assert "foot_slip" not in riding().rewards
+
+
 @pytest.mark.parametrize(
     "arguments",
-    [{"steering_weight_peak": "x"}, {"steering_weight_peak_at": 0.0}, {"steadiness": -1.0}, {"fall_weight": "x"}],
+    [
+        {"slip_weight": -1.0},
+        {"steering_weight_peak": "x"},
+        {"steering_weight_peak_at": 0.0},
+        {"steadiness": -1.0},
+        {"fall_weight": "x"},
+    ],
 )
 def test_an_impossible_weight_of_the_learner_is_named(arguments):
     with pytest.raises(InputError, match=next(iter(arguments))):

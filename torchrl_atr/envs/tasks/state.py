@@ -104,7 +104,7 @@ class StateExtractor:
 
     def forget(self, rows: Rows = slice(None)) -> None:
         """Restart the differences of ``rows`` from the present state, as after a reset."""
-        self.velocities[rows] = self.velocities_of(self.gather(rows))
+        self.velocities[rows] = self.interpret(self.gather(rows), None)[1]
 
     def read(self) -> QuadrupedState:
         """Return the state of all robots now; accelerations are differences to the previous one."""

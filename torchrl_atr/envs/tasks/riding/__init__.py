@@ -25,7 +25,7 @@ from torchrl_atr.envs.tasks.riding.drive_law import DriveHook
 from torchrl_atr.envs.tasks.riding.intrinsics import riding_intrinsics
 from torchrl_atr.envs.tasks.riding.observations import observations
 from torchrl_atr.envs.tasks.riding.resets import TERMINATIONS, push, start
-from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS, STEADY
+from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS, STEADY, foot_slip
 from torchrl_atr.envs.tasks.riding.state import RidingStateExtractor
 from torchrl_atr.envs.tasks.sensors import SensorSet, with_sensors
 from torchrl_atr.envs.tasks.support_tilt import NAME, support_tilt
@@ -42,6 +42,9 @@ COMMANDS = CommandSpace(
     followed_by=("platform_velocity[0]", "platform_angular_velocity[2]"),
 )
 """(c_v, c_ω)."""
+
+SLIP = "foot_slip"
+"""Name of the term of ``slip_weight``."""
 
 
 def riding(
@@ -63,6 +66,7 @@ def riding(
     steering_weight_peak_at: float = 1.0,
     steadiness: float = 0.0,
     fall_weight: float = 1.0,
+    slip_weight: float = 0.0,
 ) -> Task:
     """Return the riding task: a robot on a transporter follows a forward speed and a yaw rate.
 
@@ -92,6 +96,8 @@ def riding(
         steadiness: how much larger the weights of the body's pose and motion are in the learner's reward: 0 leaves
             them, 1 multiplies them by :data:`~torchrl_atr.envs.tasks.riding.rewards.STEADY`.
         fall_weight: factor of r17, early termination, in the learner's reward.
+        slip_weight: weight of a penalty that Table III lacks, the sum of the feet's speeds over the boards, 1/m; 0 for
+            none. Pushes move feet, nothing moves them back, and robots fall at the boards' edges within minutes.
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.
@@ -113,6 +119,8 @@ def riding(
     more = check_number("steadiness", steadiness, 0.0)
     factors = {name: 1.0 + more * (factor - 1.0) for name, factor in STEADY.items() if name in (rewards or ())}
     factors["termination"] = check_number("fall_weight", fall_weight, 0.0)
+    if check_number("slip_weight", slip_weight, 0.0):
+        rewards = {SLIP: RewardTerm(foot_slip, -slip_weight), **(rewards or {})}
     tilt = {NAME: support_tilt(rider)} if check_flag("observe_tilt", observe_tilt) else {}
     return Task(
         name="riding",

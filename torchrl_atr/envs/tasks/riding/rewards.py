@@ -126,6 +126,11 @@ def collision_avoidance(c: StepContext) -> Tensor:
     return (c.state.other_force.norm(dim=-1) > CONTACT_THRESHOLD).to(c.action.dtype)
 
 
+def foot_slip(c: StepContext) -> Tensor:
+    """Compute Σ ‖v_i,xy‖ of the feet over the boards, a term that Table III lacks."""
+    return c.state.foot_slip.sum(-1)
+
+
 def termination(c: StepContext) -> Tensor:
     """Compute r17: [early termination]."""
     return c.terminated.to(c.action.dtype)

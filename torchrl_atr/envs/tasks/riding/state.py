@@ -12,11 +12,15 @@ from torch.nn.functional import pad
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.models.boards import BOARD_HEIGHT
+from torchrl_atr.envs.models.robot import LEGS
 from torchrl_atr.envs.models.scene import columns
 from torchrl_atr.envs.physics.engine import Engine
 from torchrl_atr.envs.tasks.riding.drive_law import DriveHook, combination, combine
 from torchrl_atr.envs.tasks.rotations import angular_velocity, matrix_from_euler, rotate_back, wrap
 from torchrl_atr.envs.tasks.state import QuadrupedState, Rows, SimulationSnapshot, StateExtractor, single
+
+_FEET = slice(-6 - 2 * len(LEGS), -6)
+"""Columns of the feet's places among the velocities."""
 
 
 @dataclass
@@ -31,6 +35,7 @@ class RidingState(QuadrupedState):
         platform_angular_velocity, platform_angular_acceleration: world frame, (N, 3).
         speeds: the drive law's forward speed and yaw rate in P_planar, (N, 2).
         driven_acceleration: v̇ and α of the law at this tilt, m/s² and rad/s², (N, 2).
+        foot_slip: speed of each foot over the boards, along them and in the frame of P, m/s, (N, 4).
         relative_position: of the body in the frame of P, horizontal part, m, (N, 2).
         relative_yaw: heading of the body relative to P, rad, (N, 1).
     """
@@ -45,6 +50,7 @@ class RidingState(QuadrupedState):
     platform_angular_acceleration: Tensor
     speeds: Tensor
     driven_acceleration: Tensor
+    foot_slip: Tensor
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,34 +96,59 @@ class RidingStateExtractor(StateExtractor):
         snapshot["driven_acceleration"] = single(hook.acceleration(rows))
         return snapshot
 
+    @property
+    def state(self) -> dict[str, Tensor]:
+        """Places of the feet on the boards, live; see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        return {"foot_places": self.velocities[:, _FEET]}
+
+    def interpret(self, snapshot: SimulationSnapshot, previous: Tensor | None) -> tuple[QuadrupedState, Tensor]:
+        """Return the state of a snapshot; see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
+        state, now = super().interpret(snapshot, previous)
+        if previous is None:  # after a reset sensors are of the present
+            now[:, _FEET] = self._foot_places(snapshot, age=0.0)
+        return state, now
+
     def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
-        """Return the velocities that the next state differentiates, (n, V): v_B, q̇, v_P and ω_P."""
+        """Return what the next state differentiates, (n, V): v_B, q̇, the feet's places on the boards, v_P and ω_P."""
         qvel = snapshot["qvel"]
         planar = qvel[:, self._planar_dof]
         rates = torch.cat([combine(qvel[:, self._tilt_dof], self._roll_and_pitch), planar[:, 2:]], -1)
         platform = pad(planar[:, :2], (0, 1))  # its height is constant
-        turning = angular_velocity(self._platform_euler(snapshot), rates)
-        return torch.cat([super().velocities_of(snapshot), platform, turning], -1)
+        turning = angular_velocity(self._platform_pose(snapshot["qpos"])[1], rates)
+        places = self._foot_places(snapshot, self.engine.timestep)
+        return torch.cat([super().velocities_of(snapshot), places, platform, turning], -1)
 
-    def _platform_euler(self, snapshot: SimulationSnapshot) -> Tensor:
-        """Return roll, pitch and yaw of P, (n, 3)."""
-        qpos = snapshot["qpos"]
-        attitude = combine(qpos[:, self._tilt_qpos], self._roll_and_pitch)
-        return torch.cat([attitude, qpos[:, self._planar_qpos][:, 2:]], -1)
+    def _platform_pose(self, qpos: Tensor) -> tuple[Tensor, Tensor]:
+        """Return position, and roll, pitch and yaw of P, (n, 3) each."""
+        planar, attitude = qpos[:, self._planar_qpos], combine(qpos[:, self._tilt_qpos], self._roll_and_pitch)
+        return pad(planar[:, :2], (0, 1), value=BOARD_HEIGHT), torch.cat([attitude, planar[:, 2:]], -1)
+
+    def _foot_places(self, snapshot: SimulationSnapshot, age: float) -> Tensor:
+        """Return the horizontal places of the feet in the frame of P, (n, 8), by sensors of ``age`` seconds ago.
+
+        P must be of the same instant, or every acceleration would be a slip.
+        """
+        qpos = snapshot["qpos"].clone()
+        for place, dof in ((self._planar_qpos, self._planar_dof), (self._tilt_qpos, self._tilt_dof)):
+            qpos[:, place] -= age * snapshot["qvel"][:, dof]
+        position, euler = self._platform_pose(qpos)
+        rotation = matrix_from_euler(*euler.unbind(-1)).unsqueeze(-3)
+        return rotate_back(rotation, self.foot_positions(snapshot) - position.unsqueeze(-2))[..., :2].flatten(-2)
 
     def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
         """Return the fields of the state, see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
-        qpos, euler = snapshot["qpos"], self._platform_euler(snapshot)
+        position, euler = self._platform_pose(snapshot["qpos"])
         return {
             **super().parts(snapshot, velocities, rates),
-            "platform_position": pad(qpos[:, self._planar_qpos][:, :2], (0, 1), value=BOARD_HEIGHT),
+            "platform_position": position,
             "platform_velocity": velocities[:, -6:-3],
             "platform_acceleration": rates[:, -6:-3],
             "platform_rotation": matrix_from_euler(*euler.unbind(-1)),
             "platform_euler": euler,
-            "driving_tilt": combine(qpos[:, self._tilt_qpos], self._driving),
+            "driving_tilt": combine(snapshot["qpos"][:, self._tilt_qpos], self._driving),
             "platform_angular_velocity": velocities[:, -3:],
             "platform_angular_acceleration": rates[:, -3:],
             "speeds": snapshot["speeds"],
             "driven_acceleration": snapshot["driven_acceleration"],
+            "foot_slip": rates[:, _FEET].unflatten(-1, (len(LEGS), 2)).norm(dim=-1),
         }
