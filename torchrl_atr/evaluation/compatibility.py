@@ -54,7 +54,7 @@ class Pair(NamedTuple):
 
 
 def group_pairs(scene: Scene) -> list[Pair]:
-    """Return all pairs of a scene's size class, its own robot first: registered robots, each on each deck of that size.
+    """Return all pairs of a scene's size class, its own robot first: each robot on each transporter.
 
     Example:
         >>> from torchrl_atr.envs.models import FlatGround, build_scene
@@ -63,8 +63,8 @@ def group_pairs(scene: Scene) -> list[Pair]:
     """
     own = scene.robot
     mates = [name for name in ROBOTS.names() if ROBOTS.get(name).group == own.group and name != own.name]
-    decks = [f"{design}_{own.group.lower()}" for design in TRANSPORTER_DESIGNS]
-    return [Pair(robot, deck) for robot in [own.name, *mates] for deck in decks if deck in TRANSPORTERS]
+    transporters = [name for design in TRANSPORTER_DESIGNS if (name := f"{design}_{own.group.lower()}") in TRANSPORTERS]
+    return [Pair(robot, transporter) for robot in [own.name, *mates] for transporter in transporters]
 
 
 def check_fit(policy: TensorDictModuleBase, own: EnvBase, other: EnvBase) -> None:

@@ -23,20 +23,20 @@ def plot_compatibility(metrics: Mapping[str, Any], path: str | Path) -> Path:
         metrics: of :func:`~torchrl_atr.evaluation.compatibility.evaluate_compatibility`.
         path: the PNG to write.
     """
-    cells = metrics["cells"]
-    robots, decks = (list(dict.fromkeys(cell[name] for cell in cells)) for name in ("robot", "transporter"))
-    shares = np.full((len(robots), len(decks)), np.nan)
+    cells, trained_on = metrics["cells"], metrics["trained_on"]
+    robots, transporters = (list(dict.fromkeys(cell[name] for cell in cells)) for name in ("robot", "transporter"))
+    shares = np.full((len(robots), len(transporters)), np.nan)
     with rc_context(STYLE):
-        figure, axis = subplots(figsize=(1.9 * len(decks) + 2.2, 1.1 * len(robots) + 1.4))
+        figure, axis = subplots(figsize=(1.9 * len(transporters) + 2.2, 1.1 * len(robots) + 1.4))
         for cell in cells:
-            row, column = robots.index(cell["robot"]), decks.index(cell["transporter"])
+            row, column = robots.index(cell["robot"]), transporters.index(cell["transporter"])
             shares[row, column] = up = cell.get("survival", np.nan)
             colour = "white" if up < _DARK else "black"
             axis.text(column, row, _text(cell), ha="center", va="center", fontsize=8, color=colour)
         axis.set_facecolor("0.95")
         mesh = axis.imshow(np.ma.masked_invalid(shares), cmap=SHARES, vmin=0.0, vmax=1.0, aspect="auto")
-        axis.set_xticks(range(len(decks)), [_named(deck, metrics["trained_on"]["transporter"]) for deck in decks])
-        axis.set_yticks(range(len(robots)), [_named(robot, metrics["trained_on"]["robot"]) for robot in robots])
+        axis.set_xticks(range(len(transporters)), [_named(name, trained_on["transporter"]) for name in transporters])
+        axis.set_yticks(range(len(robots)), [_named(name, trained_on["robot"]) for name in robots])
         axis.spines[:].set_visible(False)
         figure.colorbar(mesh, ax=axis, label=f"share up after {metrics.get('seconds', 0):g} s")
         if np.isnan(shares).any():

@@ -112,7 +112,7 @@ def kalman_filter(c: StepContext, key: str = KEY) -> Tensor:
 def aligned_kalman_filter(c: StepContext, key: str = KEY) -> Tensor:
     """Estimate also the robot's yaw relative to the transporter, θ_B,z, with an extended Kalman filter.
 
-    A robot that pushes have turned on the deck moves obliquely to its own heading: its sideways velocity is v θ_B,z,
+    A robot that pushes have turned on the boards moves obliquely to its own heading: its sideways velocity is v θ_B,z,
     not zero. The state is [v_x, v_y, b_x, b_y, θ_B,z], where θ_B,z is a random walk. The velocity across the
     transporter's heading, v_x sin θ_B,z + v_y cos θ_B,z, is taken as measured as zero. Changes of speed show θ_B,z,
     which no sensor does. After two minutes with pushes, errors of v_x are 0.13 m/s instead of 0.20, and of θ_B,z
