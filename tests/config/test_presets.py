@@ -29,7 +29,6 @@ ADDITIONS = {  # setting and the value that turns it off, kept apart from the de
     "task.displaced_start": 0.0,
     "task.steering_weight_peak": 1.0,
     "task.steadiness": 0.0,
-    "task.slip_weight": 0.0,
     "task.stance": (),
     "task.pushes.interval": 3.0,
     "task.interpretation.coulomb_smoothing": 0.0,

@@ -44,7 +44,6 @@ _SINCE = {
     "task.stance": (),
     "task.steadiness": 0.0,
     "task.fall_weight": 1.0,
-    "task.slip_weight": 0.0,
     "task.interpretation.aligned_com": False,
 }
 """Settings that older runs lack and that change what they did, with what that was."""
