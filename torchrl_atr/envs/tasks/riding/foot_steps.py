@@ -14,6 +14,7 @@ from torchrl_atr.envs.models import Scene
 from torchrl_atr.envs.models.feet import find_feet, foot_positions
 from torchrl_atr.envs.models.leg_kinematics import LegKinematics, leg_kinematics
 from torchrl_atr.envs.models.robot import JOINTS_PER_LEG, LEGS
+from torchrl_atr.envs.models.scene import STAND
 from torchrl_atr.envs.tasks.rotations import matrix_from_euler, rotate, rotate_back
 from torchrl_atr.envs.tasks.sensor_errors import columns_of
 
@@ -140,7 +141,7 @@ def _joints_per_metre(legs: LegKinematics, q0: Tensor) -> Tensor:
 def _standing_feet(scene: Scene) -> Tensor:
     """Return the feet's horizontal places relative to the pivot in the keyframe ``stand``, m, (4, 2)."""
     data = mujoco.MjData(scene.model)
-    mujoco.mj_resetDataKeyframe(scene.model, data, scene.model.key("stand").id)
+    mujoco.mj_resetDataKeyframe(scene.model, data, scene.model.key(STAND).id)
     mujoco.mj_kinematics(scene.model, data)
     feet = foot_positions(data, find_feet(scene.model, scene.robot))
     return torch.tensor(feet[:, :2], dtype=torch.float32)
