@@ -144,4 +144,5 @@ TASK_SETTINGS["balance"] = {
     "curriculum.max_speed": 0.2,
     "curriculum.max_yaw_rate": 0.1,
     "env.overspeed_margin": (1.0, 1.0),
+    "env.reposition_feet": 0.0,
 }

@@ -80,7 +80,7 @@ def test_weights_ranges_pushes_gains_and_questions_reach_the_env():
     words = (
         "--num-envs 2 --task.rewards.heading-alignment -2 --task.randomization.payload.train 0.5,0.6 "
         "--task.randomization.friction.test 0.1,0.2 --task.pushes.interval 0.1 --task.pushes.robot 0 --task.kp 50 "
-        "--task.interpretation.relative-pose false --compute.num-threads 1"
+        "--task.interpretation.relative-pose false --env.reposition-feet 0 --compute.num-threads 1"
     )
     config = make_config(parse_train(words.split(" ")).given)
     env = make_env(config)
@@ -93,6 +93,12 @@ def test_weights_ranges_pushes_gains_and_questions_reach_the_env():
     assert task.robot.kp == 50.0
     assert env.observation_spec["privileged", "extrinsic"].shape == (2, 13)
     assert not make_config({"task.pushes.interval": 0.0}).make_task().disturbances
+
+
+def test_steps_need_an_extrinsic_state_that_tells_where_feet_are():
+    with pytest.raises(ConfigError, match=r"env.reposition_feet=0.08 needs relative_position.*env.reposition_feet=0"):
+        make_config({"task.interpretation.relative_pose": False})
+    assert make_config({"task.name": "walking"}).env.reposition_feet == 0.0
 
 
 def test_walking_takes_gains_and_pushes_too():

@@ -31,7 +31,12 @@ _WAYS: dict[str, dict[str, Any]] = {
     "rma": {**_LEARNS, "roa.policy_update": "none"},
     "distillation": {**_LEARNS, "roa.policy_update": "imitation"},
     "concurrent": {"roa.actor_reads": ("extrinsic",), "roa.act_source": "estimated"},
-    "asymmetric": {"roa.actor_reads": ("history",), "ppo.tracking_errors": False, "estimator.dead_reckoning": False},
+    "asymmetric": {
+        "roa.actor_reads": ("history",),
+        "ppo.tracking_errors": False,
+        "estimator.dead_reckoning": False,
+        "env.reposition_feet": 0.0,
+    },
 }
 for _name in _WAYS:
     PRESETS.register(_name, _WAYS[_name])
@@ -40,6 +45,7 @@ TASK_SETTINGS: dict[str, Mapping[str, Any]] = {
     "walking": {
         "env.episode_seconds": 20.0,
         "env.first_episode_seconds": 0.0,
+        "env.reposition_feet": 0.0,
         "task.sensors": "ideal",
         "task.moving_start": 0.0,
         "task.displaced_start": 0.0,

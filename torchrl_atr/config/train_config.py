@@ -31,6 +31,7 @@ from torchrl_atr.envs.models.spec_file import is_spec_file
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS, Task, make_task
 from torchrl_atr.envs.tasks.overrides import override
+from torchrl_atr.envs.tasks.riding.foot_steps import PLACE_COMPONENTS
 from torchrl_atr.envs.transforms import CommandGrid
 
 
@@ -269,6 +270,7 @@ def _problems(config: TrainConfig) -> Iterator[str]:
             f"env.num_envs={config.env.num_envs} cannot be shared evenly by compute.workers={compute.workers}; choose "
             "a multiple of it"
         )
+    yield from _foot_step_problems(config)
     yield from _device_problems(compute.device)
     try:
         _ = config.grid
@@ -276,6 +278,15 @@ def _problems(config: TrainConfig) -> Iterator[str]:
         own = config.curriculum
         names = ("initial_speed", "initial_yaw_rate", "max_speed", "max_yaw_rate")
         yield f"curriculum: {', '.join(f'{name}={getattr(own, name):g}' for name in names)}: {error}"
+
+
+def _foot_step_problems(config: TrainConfig) -> Iterator[str]:
+    known = config.make_task().observations.get(("privileged", "extrinsic"), {})
+    if config.env.reposition_feet and (missing := [name for name in PLACE_COMPONENTS if name not in known]):
+        yield (
+            f"env.reposition_feet={config.env.reposition_feet:g} needs {' and '.join(missing)} in the extrinsic state, "
+            f"which the task {config.task.name!r} does not have as it is set; set env.reposition_feet=0"
+        )
 
 
 def _device_problems(name: str) -> Iterator[str]:

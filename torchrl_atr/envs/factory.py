@@ -18,7 +18,7 @@ from torchrl_atr.envs.physics import EngineName, Simulation
 from torchrl_atr.envs.tasks import RewardError, Task, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import Randomization
 from torchrl_atr.envs.tasks.reconfiguration import Reconfigurable
-from torchrl_atr.envs.tasks.riding.foot_steps import FootSteps
+from torchrl_atr.envs.tasks.riding.foot_steps import PLACE_COMPONENTS, FootSteps
 from torchrl_atr.envs.transforms import (
     CommandCurriculum,
     CommandGrid,
@@ -189,7 +189,7 @@ def _foot_repositioning(env: QuadrupedEnv, threshold: float) -> FootRepositionin
         return None
     sizes = env.runner.terms.observations.sizes
     extrinsic = sizes.get(("privileged", "extrinsic"), {})
-    if not {"relative_position", "relative_yaw"} <= set(extrinsic):
+    if not set(PLACE_COMPONENTS) <= set(extrinsic):
         raise _unfit(env.task, "reposition_feet needs the extrinsic state of riding, where feet have places on a board")
     return FootRepositioning(FootSteps(env.scene, sizes["proprio"], extrinsic, threshold))
 

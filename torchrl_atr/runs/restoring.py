@@ -43,6 +43,8 @@ _SINCE = {
     "curriculum.slew_rates": (),
     "task.stance": (),
     "task.steadiness": 0.0,
+    "task.slip_weight": 0.0,
+    "env.reposition_feet": 0.0,
     "task.fall_weight": 1.0,
     "task.interpretation.aligned_com": False,
 }

@@ -30,6 +30,8 @@ SHARE = 0.03
 centimetres, and each that crosses the threshold would cost a step."""
 PAIRS = torch.tensor([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 1.0, 0.0]])
 """Diagonal feet of :data:`~torchrl_atr.envs.models.robot.LEGS`, which are lifted together."""
+PLACE_COMPONENTS = ("relative_position", "relative_yaw")
+"""Components of x_ext that tell where feet are on the board."""
 _CYCLE = SWING + BLEND + REST
 _EASE = 1.3
 """The feet are over their places before they land: the horizontal part of a swing ends that much sooner."""
