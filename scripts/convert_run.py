@@ -26,6 +26,7 @@ from torchrl_atr.config.files import to_toml
 from torchrl_atr.config.nested import merged
 from torchrl_atr.runs.checkpoint import BEST, NAME, PREVIOUS, VERSION, CheckpointError, read_checkpoint
 from torchrl_atr.runs.files import CONFIG
+from torchrl_atr.runs.restoring import SINCE
 
 State = dict[str, Any]
 
@@ -197,7 +198,7 @@ def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
     velocity = "kalman_filter" if "sensors" in flat else "integral"
     fixed |= {"task.sensors": "ideal", "task.displaced_start": 0.0, "task.velocity_filter": velocity}
     more = {"preset": preset, "env.overspeed_margin": margin, "ppo.kl_stop": 5.0, "task.interpretation": answers}
-    return merged(TrainConfig().to_dict(), {**fixed, **more}, values)
+    return merged(TrainConfig().to_dict(), SINCE, {**fixed, **more}, values)
 
 
 CONVERSIONS: tuple[Callable[[State], None], ...] = (separate_exploration, describe_the_task, nest_the_settings)

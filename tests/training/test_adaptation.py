@@ -225,7 +225,7 @@ def test_a_student_without_a_teacher_is_refused(tmp_path, preset):
 
 @pytest.mark.parametrize("setting", ["ppo.tracking_errors", "estimator.dead_reckoning", "estimator.shared"])
 def test_what_needs_an_estimate_that_is_not_read_is_refused(setting):
-    off = dict.fromkeys(["ppo.tracking_errors", "estimator.dead_reckoning"], False)
+    off = dict.fromkeys(["ppo.tracking_errors", "estimator.dead_reckoning"], False) | {"env.reposition_feet": 0.0}
     with pytest.raises(ConfigError, match=rf"{setting}=true needs an estimate .*or set {setting}=false"):
         config_of("default", **{**off, "roa.actor_reads": ("latent",), setting: True})
     assert config_of("default", **off, **{"roa.actor_reads": ("latent",)}).roa.actor_reads == ("latent",)

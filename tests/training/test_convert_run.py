@@ -12,6 +12,7 @@ from scripts import convert_run
 from tests.training.states import SMALL, differing
 from torchrl_atr.config.nested import flat
 from torchrl_atr.runs.checkpoint import VERSION
+from torchrl_atr.runs.restoring import SINCE
 from torchrl_atr.training import CheckpointError, Trainer, load_checkpoint, load_run, make_config
 
 OLD_NAMES = {  # of version 2, in version 1
@@ -50,7 +51,7 @@ def old_settings(settings):
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs") / "run"
-    Trainer(make_config({**SMALL, "total_frames": 2 * 64}), folder).train()
+    Trainer(make_config({**SINCE, **SMALL, "total_frames": 2 * 64}), folder).train()
     return folder
 
 

@@ -240,6 +240,7 @@ def test_a_configuration_of_another_kind_is_refused(tmp_path, config):
             ("privileged", "tracking_forecast"),
             r"ppo.tracking_forecast=true reads \('privileged', 'tracking_forecast'\), which the env",
         ),
+        (("privileged", "extrinsic"), r"env.reposition_feet=0.08 needs relative_position .*env.reposition_feet=0"),
         (("privileged", "extrinsic"), "do not fit the task 'riding_less' .*give make_networks= too"),
     ],
 )
@@ -250,8 +251,9 @@ def test_a_task_that_lacks_what_a_setting_reads_is_named(tmp_path, monkeypatch, 
         return task.replace(observations=kept)
 
     monkeypatch.setitem(TASKS._entries, "riding_less", less)
+    more = {"env.reposition_feet": 0.0} if "make_networks" in message else {}
     with pytest.raises(ConfigError, match=message):
-        Trainer(make_config({**SMALL, "compute.num_threads": 1, "task.name": "riding_less"}), tmp_path / "run")
+        Trainer(make_config({**SMALL, **more, "compute.num_threads": 1, "task.name": "riding_less"}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 

@@ -37,7 +37,7 @@ _NEEDED = (
 )
 """Entries of a checkpoint that every reader of a run needs."""
 
-_SINCE = {
+SINCE = {
     "ppo.tracking_errors": False,
     "task.observe_tilt": False,
     "curriculum.slew_rates": (),
@@ -48,7 +48,7 @@ _SINCE = {
     "task.fall_weight": 1.0,
     "task.interpretation.aligned_com": False,
 }
-"""Settings that older runs lack and that change what they did, with what that was."""
+"""Settings that older runs lack and that change what they did, with what they did."""
 
 
 def check_entries(state: Mapping[str, Any], run: Path) -> None:
@@ -98,7 +98,7 @@ def saved_settings(state: Mapping[str, Any], run: Path, imports: Sequence[str] =
     """
     check_entries(state, run)
     settings = copy.deepcopy(located_settings(state["config"], run.parent if run.is_file() else run))
-    for path, value in _SINCE.items():
+    for path, value in SINCE.items():
         *groups, name = path.split(".")
         owner: Any = settings
         for group in groups:
