@@ -49,7 +49,7 @@ class EnvConfig(Settings):
     """Excess over any command (m/s, rad/s) at which the episode of a transporter ends; empty for no such limit. A board
     that ran away is where tracking rewards have no slope."""
     reposition_feet: float = setting(
-        0.08, within=(0, 1), unit="m", off=0.0, addition="scripted steps that put drifted feet back"
+        0.06, within=(0, 1), unit="m", off=0.0, addition="scripted steps that put drifted feet back"
     )
     """Mean distance of two diagonal feet from their places on the board at which a scripted step puts them back; 0 for
     no such steps. Pushes move feet, no reward has taught a riding robot to step, and robots fall at the boards' edges
@@ -118,10 +118,9 @@ class TaskConfig(Settings):
     fall_weight: float = setting(100.0, within=(0, 1e6), off=1.0)
     """Factor of r17, early termination, in what is learned from. As printed, times dt, a fall costs less than a step of
     tracking earns."""
-    slip_weight: float = setting(30.0, within=(0, 1e6), off=0.0, addition="penalty on feet that slide")
-    """Riding only: weight of a penalty that Table III lacks, the sum of the feet's speeds over the boards; 0 for none.
-    Pushes move feet, and robots fall at the boards' edges within minutes. Half as many robots fall within a minute
-    with it, and yaw rates are followed less well."""
+    slip_weight: float = setting(60.0, within=(0, 1e6), off=0.0, addition="penalty on feet that slide")
+    """Riding only: weight of a penalty that Table III lacks, the sum of the speeds at which feet slide over the boards;
+    0 for none. Pushes move feet, and robots fall at the boards' edges within minutes."""
     rewards: dict[str, float] = setting({}, within=(-1e6, 1e6))
     """Weights of reward terms, by name, in place of the task's own: `list rewards`."""
     randomization: dict[str, Ranges] = setting({}, within=(-1e6, 1e6))

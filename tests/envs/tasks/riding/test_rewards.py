@@ -11,6 +11,7 @@ import torch
 from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import ROBOTS
 from torchrl_atr.envs.riding import RidingEnv
+from torchrl_atr.envs.tasks import riding
 from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS, outside_polygon
 
 Q0 = list(ROBOTS.get("a1").q0)
@@ -89,6 +90,11 @@ def test_term_by_hand(make_context, name, situation, expected):
     value = RIDING_REWARDS[name](make_context(**situation))
     assert value.shape == (1,)
     assert value.item() == pytest.approx(expected, rel=1e-5, abs=1e-6)
+
+
+def test_feet_that_roll_do_not_slide(make_context):
+    slipping = make_context(foot_slip=[0.3, 0.06, 0.04, 0.0])
+    assert riding(slip_weight=10.0).rewards["foot_slip"](slipping).item() == pytest.approx(-10.0 * (0.25 + 0.01))
 
 
 def test_standing_still_as_asked_earns_the_two_tracking_rewards_alone(make_context):
