@@ -252,7 +252,7 @@ def tiny_run(tmp_path):
 
 def test_scripted_steps_are_part_of_the_policy(tmp_path, tiny_run):
     """The actions of the episode are those that were carried out, steps included."""
-    parity = export_run(tiny_run(**{"env.reposition_feet": 0.005}), tmp_path / "steps")
+    parity = export_run(tiny_run(**{"env.reposition_feet": 0.02}), tmp_path / "steps")
     assert parity.error < 1e-4
     states = read_manifest(tmp_path / "steps")["policy"]["state"]
     assert [each["shape"] for each in states if each["input"] == "memory"] == [[34]]

@@ -23,7 +23,7 @@ OTHERS = [
         "task.interpretation.gravity_in_acceleration": True,
         "preset": "concurrent",
     },
-    {"env.reposition_feet": 0.005},
+    {"env.reposition_feet": 0.02},
     {"task.name": "walking"},
     {"task.name": "walking", "task.robot": "spot"},
     {"preset": "asymmetric", "env.history_length": 3, "task.transporter": "two_board", "curriculum.slew_rates": ()},

@@ -85,8 +85,8 @@ def make_env(
         command_slew: largest change of the command per second, in its units; None for commands that jump.
         overspeed_margin: end episodes of robots faster than any command by this much, in the units of the command (for
             training).
-        reposition_feet: distance from their places at which two feet are stepped back, m, for policies that write
-            ``("act", "extrinsic")``; 0 for no such steps. See
+        reposition_feet: distance from their places, in standing heights, at which two feet are stepped back, for
+            policies that write ``("act", "extrinsic")``; 0 for no such steps. See
             :class:`~torchrl_atr.envs.tasks.riding.foot_steps.FootSteps`.
         compact_storage: whether collected steps hold the history at the root alone, and reward terms in ``next`` alone
             (for training): see :class:`~torchrl_atr.envs.transforms.CompactStorage`.
@@ -183,14 +183,15 @@ def _tracking_max(env: QuadrupedEnv) -> tuple[float, ...]:
     return tuple(tracking_max.values())
 
 
-def _foot_repositioning(env: QuadrupedEnv, threshold: float) -> FootRepositioning | None:
-    """Return the transform that steps feet back at this distance, m; None for 0."""
-    if not check_number("reposition_feet", threshold, low=0.0):
+def _foot_repositioning(env: QuadrupedEnv, share: float) -> FootRepositioning | None:
+    """Return the transform that steps feet back at this share of the standing height; None for 0."""
+    if not check_number("reposition_feet", share, low=0.0):
         return None
     sizes = env.runner.terms.observations.sizes
     extrinsic = sizes.get(("privileged", "extrinsic"), {})
     if not set(PLACE_COMPONENTS) <= set(extrinsic):
         raise _unfit(env.task, "reposition_feet needs the extrinsic state of riding, where feet have places on a board")
+    threshold = share * env.task.robot.standing_height
     return FootRepositioning(FootSteps(env.scene, sizes["proprio"], extrinsic, threshold))
 
 

@@ -14,7 +14,7 @@ from torchrl_atr.envs.tasks import walking
 ACT = ("act", "extrinsic")
 
 
-def env_of(threshold=0.05, num_envs=3):
+def env_of(share=0.2, num_envs=3):
     return make_riding_env(
         "a1",
         "single_board",
@@ -23,7 +23,7 @@ def env_of(threshold=0.05, num_envs=3):
         randomization="off",
         pushes=False,
         num_threads=1,
-        reposition_feet=threshold,
+        reposition_feet=share,
     )
 
 

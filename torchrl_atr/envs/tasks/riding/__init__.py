@@ -96,8 +96,8 @@ def riding(
         steadiness: how much larger the weights of the body's pose and motion are in the learner's reward: 0 leaves
             them, 1 multiplies them by :data:`~torchrl_atr.envs.tasks.riding.rewards.STEADY`.
         fall_weight: factor of r17, early termination, in the learner's reward.
-        slip_weight: weight of a penalty that Table III lacks, the sum of the speeds at which feet slide over the boards,
-            1/m; 0 for none. Pushes move feet, and robots fall at the boards' edges within minutes.
+        slip_weight: weight of a penalty that Table III lacks, the sum of the speeds at which feet slide over the
+            boards, 1/m; 0 for none. Pushes move feet, and robots fall at the boards' edges within minutes.
 
     Raises:
         UnknownNameError: for an unknown robot, transporter or profile.

@@ -58,7 +58,7 @@ class FootSteps:
         >>> from torchrl_atr.envs import make_riding_env
         >>> base = make_riding_env(num_envs=2, seed=0).base_env
         >>> sizes = base.runner.terms.observations.sizes
-        >>> steps = FootSteps(base.scene, sizes["proprio"], sizes["privileged", "extrinsic"], threshold=0.08)
+        >>> steps = FootSteps(base.scene, sizes["proprio"], sizes["privileged", "extrinsic"], threshold=0.06)
         >>> td = base.reset()
         >>> seen = td["proprio"], td["privileged", "extrinsic"]
         >>> action, state = steps(torch.zeros(2, 12), *seen, steps.start(2))
