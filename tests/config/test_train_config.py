@@ -96,7 +96,7 @@ def test_weights_ranges_pushes_gains_and_questions_reach_the_env():
 
 
 def test_steps_need_an_extrinsic_state_that_tells_where_feet_are():
-    with pytest.raises(ConfigError, match=r"env.reposition_feet=0.24 needs relative_position.*env.reposition_feet=0"):
+    with pytest.raises(ConfigError, match=r"env.reposition_feet=0.16 needs relative_position.*env.reposition_feet=0"):
         make_config({"task.interpretation.relative_pose": False})
     assert make_config({"task.name": "walking"}).env.reposition_feet == 0.0
 

@@ -240,7 +240,7 @@ def test_a_configuration_of_another_kind_is_refused(tmp_path, config):
             ("privileged", "tracking_forecast"),
             r"ppo.tracking_forecast=true reads \('privileged', 'tracking_forecast'\), which the env",
         ),
-        (("privileged", "extrinsic"), r"env.reposition_feet=0.24 needs relative_position .*env.reposition_feet=0"),
+        (("privileged", "extrinsic"), r"env.reposition_feet=0.16 needs relative_position .*env.reposition_feet=0"),
         (("privileged", "extrinsic"), "do not fit the task 'riding_less' .*give make_networks= too"),
     ],
 )

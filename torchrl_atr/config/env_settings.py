@@ -49,10 +49,10 @@ class EnvConfig(Settings):
     """Excess over any command (m/s, rad/s) at which the episode of a transporter ends; empty for no such limit. A board
     that ran away is where tracking rewards have no slope."""
     reposition_feet: float = setting(
-        0.24, within=(0, 10), off=0.0, addition="scripted steps that put drifted feet back"
+        0.16, within=(0, 10), off=0.0, addition="scripted steps that put drifted feet back"
     )
     """Mean distance of two diagonal feet from their places on the board, in standing heights, at which a scripted step
-    puts them back: 6 cm for an A1; 0 for no such steps. Pushes move feet, no reward has taught a riding robot to step,
+    puts them back: 4 cm for an A1; 0 for no such steps. Pushes move feet, no reward has taught a riding robot to step,
     and robots fall at the boards' edges within minutes."""
     failed_episode_replay: float = setting(0.5, within=(0, 1), off=0.0, addition="failed-episode replay")
     """Share of the falls after which the same robot tries again. Robots that fall easily have short episodes and give

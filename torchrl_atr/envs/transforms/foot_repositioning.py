@@ -41,7 +41,7 @@ class FootRepositioning(Transform):
 
     Example:
         >>> from torchrl_atr.envs import make_riding_env
-        >>> env = make_riding_env(num_envs=2, seed=0, reposition_feet=0.24)
+        >>> env = make_riding_env(num_envs=2, seed=0, reposition_feet=0.16)
         >>> env.reset()["foot_steps"].shape
         torch.Size([2, 34])
     """

@@ -7,9 +7,19 @@ import torch
 
 from torchrl_atr.envs.models import ROBOTS, Transporter, build_scene, get_transporter
 from torchrl_atr.envs.models.leg_kinematics import leg_kinematics
-from torchrl_atr.envs.tasks.riding.foot_steps import BLEND, LIFT, REST, SETTLING, SWING, FootSteps
+from torchrl_atr.envs.tasks.riding.foot_steps import (
+    BLEND,
+    CALM_TILT,
+    CALM_TURNING,
+    LIFT,
+    REST,
+    SETTLING,
+    SWING,
+    FootSteps,
+)
 
-PROPRIO, EXTRINSIC = {"orientation": 2, "joint_position": 12}, {"relative_position": 2, "relative_yaw": 1}
+PROPRIO = {"angular_velocity": 3, "orientation": 2, "joint_position": 12}
+EXTRINSIC = {"relative_position": 2, "relative_yaw": 1}
 STILL = torch.full((1, 12), 0.1)
 
 
@@ -25,9 +35,9 @@ def steps(robot):
     )
 
 
-def ride(steps, robot, pose, total, action=STILL):
+def ride(steps, robot, pose, total, action=STILL, motion=(0.0, 0.0, 0.0, 0.0, 0.0)):
     """Actions carried out while the trunk is estimated at ``pose`` and the encoders say q0, and the states."""
-    proprio = torch.cat([torch.zeros(2), torch.tensor(robot.q0)]).unsqueeze(0)
+    proprio = torch.cat([torch.tensor(motion), torch.tensor(robot.q0)]).unsqueeze(0)
     state, actions, states = steps.start(1), [], []
     for t in range(total):
         at = torch.tensor([pose(t) if callable(pose) else pose])
@@ -78,6 +88,19 @@ def test_turned_feet_step_back_as_far_as_they_are_turned(steps, robot):
     assert stepped.tolist() in ([True, False, False, True], [False, True, True, False])
 
 
+@pytest.mark.parametrize("column", range(5))
+def test_a_robot_that_tips_or_turns_over_lifts_no_foot(steps, robot, column):
+    x, y, yaw = middle(steps, robot)
+    limit = (CALM_TURNING, CALM_TURNING, 9.0, CALM_TILT, CALM_TILT)[column]
+    begun = []
+    for share in (-1.1, 0.9):
+        motion = [0.0] * 5
+        motion[column] = share * limit
+        _, states = ride(steps, robot, (x + 0.15, y, yaw), SETTLING + 40, motion=tuple(motion))
+        begun.append(bool((states[:, 0] == 1).any()))
+    assert begun == [column == 2, True]
+
+
 def test_an_estimate_that_is_wrong_for_a_moment_costs_no_step(steps, robot):
     x, y, yaw = middle(steps, robot)
     actions, _ = ride(steps, robot, lambda t: (x + 0.15 * (t in (40, 41)), y, yaw), 80)
@@ -89,7 +112,7 @@ def test_an_episode_begins_with_its_own_places(steps, robot):
     x, y, yaw = middle(steps, robot)
     _, states = ride(steps, robot, (x + 0.08, y, yaw), 30)
     mixed = torch.stack([states[-1], steps.start(1)[0]])
-    proprio = torch.cat([torch.zeros(2), torch.tensor(robot.q0)]).expand(2, -1)
+    proprio = torch.cat([torch.zeros(5), torch.tensor(robot.q0)]).expand(2, -1)
     _, after = steps(STILL.expand(2, -1), proprio, torch.tensor([[x, y, yaw]] * 2), mixed)
     torch.testing.assert_close(after[1, 2:10].unflatten(-1, (4, 2)), steps._home, atol=0.03, rtol=0.0)
     assert not torch.allclose(after[0, 2:10], after[1, 2:10], atol=0.01)
