@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import time
 from functools import partial
 from types import SimpleNamespace
 
@@ -171,6 +172,7 @@ def test_tensorboard_shows_a_step_once_that_a_resumed_run_took_again(tmp_path):
     state = {}
     trainer.train(lambda metrics: state.update(load_checkpoint(tmp_path)) if metrics["iteration"] == 1 else None)
     assert state["frames"] == 0  # it is killed before the next one is written, say
+    time.sleep(1.0)  # event files are read in the order of their names, which begin with a second
     Trainer(make_config(SMALL), tmp_path, state, **CARTS).train()
     events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
     steps = [event.step for event in events.Scalars("train/loss_objective")]
