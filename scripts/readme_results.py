@@ -36,7 +36,7 @@ def section() -> str:
         "",
         f"{_origin(card['run'])} [{LONG}]({LONG}) holds the policy and all of its figures, the test range included. "
         f"Five minutes: {_origin(short['run'])} They buy a robot that mostly stays up and "
-        "follows speeds loosely; turning takes half an hour. What was tried on the way: "
+        "begins to follow speeds; turning takes half an hour. What was tried on the way: "
         "[docs/lessons.md](docs/lessons.md).",
     ]
     return "\n".join(lines)
