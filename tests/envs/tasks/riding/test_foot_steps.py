@@ -75,7 +75,7 @@ def test_two_feet_swing_to_their_places_and_the_other_two_stay_the_policys(steps
     landing = legs(q0 + robot.action_scale * actions[first + SWING - 1])[[0, 3]] - legs(q0)[[0, 3]]
     torch.testing.assert_close(landing, torch.tensor([-0.08, 0.0, 0.0]).expand(2, 3), atol=0.015, rtol=0.0)
     heights = legs(q0 + robot.action_scale * actions[swing])[:, [0, 3], 2] - legs(q0)[[0, 3], 2]
-    assert 0.7 * LIFT < heights.max() < 1.5 * LIFT
+    assert 0.7 * LIFT < heights.max() < LIFT + 0.01  # joints move straight, over 8 cm a foot does not
     back = actions[first + SWING + BLEND : first + SWING + BLEND + REST - 1]
     assert torch.equal(back, STILL.expand_as(back))  # and all four stay down for a while
     assert feet[-1, [1, 2]].norm(dim=-1).min() > 0.02  # then it is the turn of the other two
