@@ -22,15 +22,15 @@ SWING, BLEND, REST = 5, 5, 50
 """Control steps that two feet are in the air, that their legs take back to the policy's targets, and that all four then
 stay down at least."""
 LIFT = 0.012
-"""Highest point of a swing above the board, m. Of swings of 2 cm in 6 control steps, one in 150 fells its robot."""
+"""Highest point of a swing above the board, m. Swings of 2 cm in 6 control steps fell 0.6 % of the robots."""
 SETTLING = 10
 """Control steps after the start of an episode in which no foot is lifted: the estimates begin without a history."""
 SHARE = 0.03
 """Weight of a step in the running mean of the feet's places: a time constant of 0.7 s. Single estimates are off by
 centimetres, and each that crosses the threshold would cost a step."""
 CALM_TILT, CALM_TURNING = 0.15, 0.6
-"""Largest roll and pitch, rad, and rates of both, rad/s, at which feet are lifted. Half of the robots that fell after
-steps without this limit had begun to tip before."""
+"""Largest roll and pitch, rad, and rates of both, rad/s, at which feet are lifted. Two of five robots that fell
+after steps without these limits had begun to tip before."""
 PAIRS = torch.tensor([[1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 1.0, 0.0]])
 """Diagonal feet of :data:`~torchrl_atr.envs.models.robot.LEGS`, which are lifted together."""
 PLACE_COMPONENTS = ("relative_position", "relative_yaw")

@@ -18,7 +18,7 @@ FORCE_TOLERANCE = 100.0
 """f_tol, N."""
 ROLLING = 0.05
 """Speed of a foot's centre over the boards up to which it rolls and yields, m/s. A leg that leans moves it that fast:
-three quarters of the way that feet make while riding, which a penalty would take from steering."""
+three quarters of the way that feet make while riding."""
 
 
 def forward_command(c: StepContext) -> Tensor:
