@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from torchrl_atr._settings import Settings, setting
 from torchrl_atr.envs.interpretation import Interpretation
@@ -161,3 +161,15 @@ class CurriculumConfig(Settings):
     own. A run of half an hour learns ±2 m/s; give 5 to one of two hours."""
     max_yaw_rate: float = setting(1.2, within=(0, MAX_YAW_RATE), unit="rad/s", off=0.0)
     """Half width of the box that commands never leave, likewise."""
+
+    def bound(self, grid: CommandGrid | None) -> CommandGrid | None:
+        """Return a task's command grid with these bounds and first box; None for a task without one.
+
+        Raises:
+            ValueError: if the first box is larger than the bounds, or either is no multiple of the bins.
+        """
+        if grid is None:
+            return None
+        bounds = self.max_speed or grid.bounds[0], self.max_yaw_rate or grid.bounds[1]
+        initial = self.initial_speed or bounds[0], self.initial_yaw_rate or bounds[1]
+        return replace(grid, bounds=bounds, initial=initial, count_own_twice=self.count_own_twice)

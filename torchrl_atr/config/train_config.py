@@ -5,16 +5,14 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
-import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from torchrl_atr._registry import import_modules
 from torchrl_atr._settings import ConfigError, Settings, setting, settings
+from torchrl_atr.config.conflicts import conflicts
 from torchrl_atr.config.env_settings import CurriculumConfig, EnvConfig, TaskConfig
 from torchrl_atr.config.estimator_settings import EstimatorConfig
 from torchrl_atr.config.files import read_values
@@ -28,10 +26,8 @@ from torchrl_atr.config.learning_settings import (
 from torchrl_atr.config.nested import build, from_text, merged
 from torchrl_atr.envs.models.files import COPIES
 from torchrl_atr.envs.models.spec_file import is_spec_file
-from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import TASKS, Task, make_task
 from torchrl_atr.envs.tasks.overrides import override
-from torchrl_atr.envs.tasks.riding.foot_steps import PLACE_COMPONENTS
 from torchrl_atr.envs.transforms import CommandGrid
 
 
@@ -74,8 +70,7 @@ class TrainConfig(Settings):
     def __post_init__(self) -> None:
         super().__post_init__()
         import_modules(self.imports)  # first: they register the names that are checked
-        self.make_task()
-        for problem in _problems(self):
+        for problem in conflicts(self, self.make_task()):
             raise ConfigError(problem)
         files: dict[str, Any] = {
             name: str(Path(value).resolve()) for name in COPIES if is_spec_file(value := getattr(self.task, name))
@@ -133,12 +128,7 @@ class TrainConfig(Settings):
     @property
     def grid(self) -> CommandGrid | None:
         """Command grid of the curriculum; None for a task without one."""
-        grid, own = self.make_task().command.grid, self.curriculum
-        if grid is None:
-            return None
-        bounds = own.max_speed or grid.bounds[0], own.max_yaw_rate or grid.bounds[1]
-        initial = own.initial_speed or bounds[0], own.initial_yaw_rate or bounds[1]
-        return dataclasses.replace(grid, bounds=bounds, initial=initial, count_own_twice=own.count_own_twice)
+        return self.curriculum.bound(self.make_task().command.grid)
 
     @property
     def frames_per_batch(self) -> int:
@@ -216,85 +206,3 @@ _HELD = {
     "steering_weight_peak_at",
 }
 """Task settings that reach a task otherwise than as an argument of that name, or have parts of their own."""
-_ORDER = (
-    ("curriculum.command_seconds", "env.episode_seconds", 0.0, "no command would ever be scored"),
-    ("curriculum.score_from_seconds", "curriculum.command_seconds", CONTROL_DT, "nothing would be left to score"),
-    ("ppo.learning_rate", "ppo.max_learning_rate", 0.0, "the rate is adapted up to that"),
-    ("exploration.anneal_from", "exploration.anneal_until", 1e-9, "both are shares of the run"),
-    ("env.episodes_grow_from", "env.episodes_grow_until", 0, "both are shares of the run"),
-    *(
-        ("exploration.min_std", f"exploration.{name}_std", 1e-9, "it is the floor")
-        for name in ("init", "relative", "final")
-    ),
-)
-"""Settings that may not exceed others, by how much they must be below them, and why."""
-
-
-_READ = {
-    "ppo.tracking_errors": ("extrinsic",),
-    "estimator.dead_reckoning": ("extrinsic",),
-    "estimator.shared": ("latent", "extrinsic"),
-    "env.reposition_feet": ("extrinsic",),
-}
-"""Settings that need estimates, and which of the actor's inputs these are."""
-
-
-def _problems(config: TrainConfig) -> Iterator[str]:
-    """Yield a message for each conflict between settings, with the remedy."""
-    values, compute = config.to_dict(), config.compute
-    for low, high, gap, why in _ORDER:
-        one, other = operator.attrgetter(low, high)(config)
-        if one > other - gap:
-            yield f"{low}={one:g} must {'be below' if gap else 'not exceed'} {high}={other:g}: {why}"
-    for path in ("ppo.actor_cells", "ppo.critic_cells", "roa.encoder_cells", "roa.latent_features"):
-        group, _, name = path.partition(".")
-        cells = values[group][name]
-        if not cells:
-            yield f"{path}=() must be widths of 1 or more, such as 256,128,64"
-        if config.ppo.symmetric and any(width % 2 for width in (cells if isinstance(cells, list) else [cells])):
-            yield f"{path}={cells} must be even, half for each side; or ppo.symmetric=false"
-    reads = config.roa.actor_reads
-    for path, needed in _READ.items():
-        value = operator.attrgetter(path)(config)
-        if value and (missing := [name for name in needed if name not in reads]):
-            on, off = ("true", "false") if value is True else (f"{value:g}", "0")
-            yield (
-                f"{path}={on} needs an estimate that the actor does not read: roa.actor_reads="
-                f"{','.join(reads) or 'none'} lacks {' and '.join(missing)}; add it there, or set {path}={off}"
-            )
-    for path, units in {"env.overspeed_margin": "m/s and rad/s", "curriculum.slew_rates": "m/s² and rad/s²"}.items():
-        if len(given := operator.attrgetter(path)(config)) not in (0, 2):
-            yield f"{path}={given}: give two numbers, {units}, or none"
-    if compute.collector != "direct" and config.env.num_envs % compute.workers:
-        yield (
-            f"env.num_envs={config.env.num_envs} cannot be shared evenly by compute.workers={compute.workers}; choose "
-            "a multiple of it"
-        )
-    yield from _foot_step_problems(config)
-    yield from _device_problems(compute.device)
-    try:
-        _ = config.grid
-    except ValueError as error:
-        own = config.curriculum
-        names = ("initial_speed", "initial_yaw_rate", "max_speed", "max_yaw_rate")
-        yield f"curriculum: {', '.join(f'{name}={getattr(own, name):g}' for name in names)}: {error}"
-
-
-def _foot_step_problems(config: TrainConfig) -> Iterator[str]:
-    known = config.make_task().observations.get(("privileged", "extrinsic"), {})
-    if config.env.reposition_feet and (missing := [name for name in PLACE_COMPONENTS if name not in known]):
-        yield (
-            f"env.reposition_feet={config.env.reposition_feet:g} needs {' and '.join(missing)} in the extrinsic state, "
-            f"which the task {config.task.name!r} does not have as it is set; set env.reposition_feet=0"
-        )
-
-
-def _device_problems(name: str) -> Iterator[str]:
-    try:
-        device = torch.device(name)
-    except RuntimeError:
-        device = torch.device("meta")
-    if device.type not in ("cpu", "cuda"):
-        yield f"compute.device={name!r} is unknown; use 'cpu' or 'cuda'"
-    elif device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        yield f"compute.device={name!r}: torch finds {torch.cuda.device_count() or 'no'} CUDA device here; use 'cpu'"
