@@ -208,6 +208,19 @@ def test_an_action_buffer_that_is_written_again_does_not_rewrite_the_past():
     assert (following["proprio"][:, -12:] == -0.5).all()
 
 
+def test_what_users_change_in_place_stays_outside():
+    env, twin = make(3), make(3)
+    td, other = env.reset(), twin.reset()
+    for _ in range(3):
+        for value in td.exclude("command").values(True, True):  # the command goes in again
+            value.zero_()
+        other = twin.step(other.set("action", torch.zeros(3, 12)))["next"].exclude("reward")
+        td = env.step(td.set("action", torch.zeros(3, 12)))["next"].exclude("reward")
+        assert (td == other).all()
+    td.zero_()
+    assert (env.get_state() == twin.get_state()).all()
+
+
 def test_pushes_come_every_three_seconds():
     env = make(2, randomization="off")
     td = env.reset()

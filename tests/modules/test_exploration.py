@@ -5,7 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torch.distributions import kl_divergence
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import IndependentNormal, ProbabilisticActor
 
 from torchrl_atr.modules import (
     ActorBackbone,
@@ -111,6 +114,28 @@ def test_deterministic_is_the_mean():
     assert torch.equal(td["action"], loc)
 
 
+def test_noise_that_began_in_inference_mode_goes_on_outside():
+    explore = CorrelatedGaussian(0.9)
+    td = TensorDict(loc=torch.zeros(2, 1), scale=torch.ones(2, 1), batch_size=[2])
+    with set_exploration_type(ExplorationType.RANDOM):
+        with torch.inference_mode():
+            explore(td.clone())
+        assert explore(td.clone())["action"].shape == (2, 1)
+
+
+@pytest.mark.parametrize("mapped", [False, True])
+def test_a_foreign_actor_with_keys_of_its_own(mapped):
+    keys = [("agent", "loc"), ("agent", "scale")]
+    if mapped:
+        keys = [("agent", "mean"), "deviation"]
+    network = TensorDictModule(lambda x: (x, torch.ones_like(x)), ["x"], keys)
+    in_keys = dict(zip(("loc", "scale"), keys)) if mapped else keys
+    actor = ProbabilisticActor(network, in_keys, out_keys=["act"], distribution_class=IndependentNormal)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        td = with_correlated_noise(actor, 0.9)(TensorDict(x=torch.full((2, 1), 3.0), batch_size=[2]))
+    assert td["act"].tolist() == [[3.0], [3.0]]
+
+
 def test_bad_correlation():
     with pytest.raises(ValueError, match=r"correlation must be in \[0, 1\), got 1"):
         CorrelatedGaussian(1.0)
@@ -133,7 +158,16 @@ def test_synergy_normal_is_the_multivariate_normal_of_its_basis():
     value = torch.randn(4, 12)
     torch.testing.assert_close(normal.log_prob(value), reference.log_prob(value))
     torch.testing.assert_close(normal.entropy(), reference.entropy())
+    torch.testing.assert_close(normal.variance, reference.variance)
+    torch.testing.assert_close(normal.stddev, reference.stddev)
     assert torch.equal(normal.deterministic_sample, loc)
+    other = RotatedNormal(loc.flip(0), 2 * scale.expand(4, 12), basis)
+    theirs = torch.distributions.MultivariateNormal(loc.flip(0), 4 * covariance)
+    torch.testing.assert_close(kl_divergence(normal, other), kl_divergence(reference, theirs))
+    with pytest.raises(NotImplementedError, match="give both the same basis"):
+        kl_divergence(normal, RotatedNormal(loc, scale.expand(4, 12)))
+    wider = normal.expand((3, 4))
+    torch.testing.assert_close(wider.log_prob(value), reference.log_prob(value).expand(3, 4))
     measured = torch.cov((normal.sample((20_000,)) - loc)[:, 0].T)
     torch.testing.assert_close(measured, covariance, atol=0.05, rtol=0.1)
 

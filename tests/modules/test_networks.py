@@ -271,3 +271,12 @@ def test_bad_specs_are_named(spec):
         make_networks(spec, action, estimator="oracle")
     with pytest.raises(ValueError, match="oracle"):
         make_networks(spec, action).training_actor("oracle")
+
+
+@pytest.mark.parametrize("odd", ["observation", "history", ("privileged", "extrinsic")])
+def test_entries_of_two_dtypes_are_named_before_a_layer_fails(odd):
+    privileged = Composite(intrinsic=Unbounded((6,)), extrinsic=Unbounded((3,)))
+    spec = Composite(observation=Unbounded((5,)), history=Unbounded((4, 5)), privileged=privileged)
+    spec[odd] = Unbounded(spec[odd].shape, dtype=torch.float64)
+    with pytest.raises(ValueError, match=r"torch\.float(32|64).*DoubleToFloat"):
+        make_networks(spec, Unbounded((2,)))

@@ -9,10 +9,11 @@ from importlib.util import find_spec
 
 import pytest
 import torch
+from torchrl.envs import TransformedEnv
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs import RidingEnv, reconfigure
-from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter
+from torchrl_atr.envs.transforms import ObservationHistory, RandomizedStepCounter
 from torchrl_atr.modules import with_correlated_noise
 from torchrl_atr.training import ConfigError, Learner, make_config, make_env, make_run_networks
 from torchrl_atr.training.collection import Collection, CollectionError, _worker_env
@@ -169,6 +170,11 @@ def test_workers_of_a_resumed_run_are_where_the_time_limit_has_grown_to():
     assert limits[10_000] == 1000
 
 
-def test_failures_of_a_plain_env_can_be_counted_in_workers():
-    env = _worker_env(lambda **share: RidingEnv(**share), None, 0, num_envs=2, seed=0, num_threads=1)
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_failures_of_an_env_with_one_transform_or_none_can_be_counted_in_workers(wrapped):
+    def make(**share):
+        env = RidingEnv(**share)
+        return TransformedEnv(env, ObservationHistory(2)) if wrapped else env
+
+    env = _worker_env(make, None, 0, num_envs=2, seed=0, num_threads=1)
     assert env.base_env.num_diverged == 0

@@ -306,6 +306,14 @@ def test_an_actor_that_reads_scales_is_symmetric():
     assert not torch.allclose(networks.backbone(*entries[:3], *(2 * each for each in entries[3:])), entries[0][:, :1])
 
 
+def test_a_second_policy_brings_the_state_that_the_env_lacks():
+    env = make_cart(6)
+    for reads in (["extrinsic"], ["latent", "extrinsic"]):
+        networks = make_networks(env.observation_spec, env.action_spec, estimator="gru", actor_reads=reads)
+        env = with_state(env, policy := networks.deployed_policy())
+        assert env.rollout(9, policy, break_when_any_done=False)["is_init"].any()
+
+
 def test_a_state_of_another_size_is_refused():
     env = make_cart(6)
     for size, message in ((4, None), (5, "state 'intrinsic_estimator_state' of another size")):

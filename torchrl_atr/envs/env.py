@@ -72,6 +72,7 @@ class QuadrupedEnv(Reconfigurable, EnvBase):
     ``TanhNormal(loc, scale, low=spec.low, high=spec.high)``. It does not clip: larger ones, as of Gaussian policies,
     are applied as long as they are finite in float32, up to the joints' control ranges.
 
+    Every step simulates all robots: rows that a rollout leaves out (``_step``, of ``break_when_all_done``) go on.
     An env can be pickled and copied, and continues from there bit for bit. ``set_seed`` fixes intrinsics, initial
     states and disturbances, and the commands of a curriculum in front of it. :meth:`reconfigure` changes parameters.
 
@@ -248,11 +249,12 @@ class QuadrupedEnv(Reconfigurable, EnvBase):
         return as_float32("command", command, shape, f"({', '.join(asked.names)})", f"give {', '.join(asked.units)}")
 
     def _pack(self, terminated: Tensor, terms: dict[str, Tensor] | None = None, **more: Tensor) -> TensorDict:
-        """Return the last observations, with reward terms (None for zero), flags and ``more``."""
+        """Return copies of the last observations, with reward terms (None for zero), flags and ``more``."""
         terminated, names = terminated.unsqueeze(-1), self.runner.terms.rewards.terms
         terms = terms or dict(zip(names, torch.zeros(len(names), *terminated.shape, dtype=torch.float32).unbind()))
         flags = {"terminated": terminated, "truncated": torch.zeros_like(terminated), "done": terminated.clone()}
-        entries = {**nested(self._emitted), "reward_terms": terms, **flags, **more}
+        observed = {key: value.clone() for key, value in self._emitted.items()}  # theirs to change, also in place
+        entries = {**nested(observed), "reward_terms": terms, **flags, **more}
         return TensorDict(entries, batch_size=self.batch_size, device=self.device)
 
     def get_state(self) -> TensorDict:

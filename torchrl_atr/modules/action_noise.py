@@ -10,9 +10,11 @@ import torch
 from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
 from torch import Tensor
+from torch.distributions import Normal, kl_divergence, register_kl
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 
+from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr.modules.keys import log_prob_key
 
 
@@ -54,6 +56,30 @@ class RotatedNormal(IndependentNormal):
         """Return the log-density of ``value`` (*B, A), as (*B,)."""
         loc = self.base_dist.loc
         return super().log_prob(value if self.basis is None else loc + (value - loc) @ self.basis)
+
+    @property
+    def variance(self) -> Tensor:
+        """Variance of each action, (*B, A): the diagonal of B diag(scale²) Bᵀ for the basis B."""
+        along = self.base_dist.variance
+        return along if self.basis is None else along @ self.basis.square().T
+
+    def expand(self, batch_shape: Sequence[int], _instance: Any = None) -> RotatedNormal:
+        """Return the distribution of a larger batch, without copies."""
+        loc, scale = self.base_dist.loc, self.base_dist.scale
+        shape = (*batch_shape, loc.shape[-1])
+        return type(self)(loc.expand(shape), scale.expand(shape), self.basis)
+
+
+@register_kl(RotatedNormal, RotatedNormal)
+def _kl(p: RotatedNormal, q: RotatedNormal) -> Tensor:
+    bases = [each.basis for each in (p, q) if each.basis is not None]
+    if len(bases) == 1 or (bases and not torch.equal(*bases)):
+        raise NotImplementedError("RotatedNormals of two bases have no KL divergence here; give both the same basis")
+    along = [
+        Normal(each.base_dist.loc if p.basis is None else each.base_dist.loc @ p.basis, each.base_dist.scale)
+        for each in (p, q)
+    ]
+    return kl_divergence(*along).sum(-1)
 
 
 class CorrelatedGaussian(TensorDictModuleBase):
@@ -109,6 +135,7 @@ class CorrelatedGaussian(TensorDictModuleBase):
         tensordict.set(self.out_keys[0], action)
         return tensordict.set(self.out_keys[1], normal.log_prob(action))
 
+    @keeps_normal_tensors
     def _next_noise(self, fresh: Tensor) -> Tensor:
         if self._noise is None or self._noise.shape != fresh.shape:
             self._noise = fresh.clone()
@@ -133,7 +160,7 @@ def with_correlated_noise(actor: ProbabilisticActor, correlation: float) -> Tens
 
     Args:
         actor (ProbabilisticActor): a Gaussian policy that writes ``loc`` and ``scale``, such as
-            :func:`~torchrl_atr.modules.make_actor`'s.
+            :func:`~torchrl_atr.modules.make_actor`'s, or under other keys.
         correlation (float): ρ in [0, 1).
 
     Returns:
@@ -147,4 +174,6 @@ def with_correlated_noise(actor: ProbabilisticActor, correlation: float) -> Tens
     """
     *networks, sampler = actor.module
     basis = sampler.distribution_kwargs.get("basis")
-    return TensorDictSequential(*networks, CorrelatedGaussian(correlation, basis=basis, action=sampler.out_keys[0]))
+    read = {key if isinstance(key, str) else key[-1]: at for key, at in zip(sampler.dist_keys, sampler.in_keys)}
+    keys = {"loc": read["loc"], "scale": read["scale"], "action": sampler.out_keys[0]}
+    return TensorDictSequential(*networks, CorrelatedGaussian(correlation, basis=basis, **keys))

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torchrl.data import Composite, TensorSpec
 
 from torchrl_atr._checks import check_choice, check_flag, check_kind, check_whole
+from torchrl_atr._errors import InputError
 from torchrl_atr.modules.act_source import ACTOR_INPUTS, ActorInput
 from torchrl_atr.modules.actor import ActorBackbone
 from torchrl_atr.modules.critic import AsymmetricCritic
@@ -187,6 +188,13 @@ def _observation_sizes(spec: Composite, keys: NetworkKeys) -> tuple[int, int, in
     history_shape = entry_shape(spec, keys.history, 2)
     (intrinsic,) = entry_shape(spec, keys.intrinsic, 1)
     (extrinsic,) = entry_shape(spec, keys.extrinsic, 1)
+    dtype = entry(spec, keys.observation).dtype
+    for key in (keys.history, keys.intrinsic, keys.extrinsic):
+        if (other := entry(spec, key).dtype) != dtype:
+            raise InputError(
+                f"{key!r} is {other}, {keys.observation!r} {dtype}; give all of one dtype, such as by torchrl's "
+                "DoubleToFloat"
+            )
     if history_shape[1] != obs:
         raise ValueError(
             f"{keys.history!r} must end with (H, {obs}), as {keys.observation!r} has {obs} components; got "

@@ -15,7 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import Compose, EnvBase, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._cpus import available_cpus
@@ -276,7 +276,7 @@ def _worker_env(
     torch.manual_seed(seed)
     env = make_env(seed=seed, **share)
     env = env if isinstance(env, TransformedEnv) else TransformedEnv(env)
-    for part in env.transform:
+    for part in env.transform if isinstance(env.transform, Compose) else [env.transform]:
         if isinstance(part, RandomizedStepCounter) and part.growth is not None:
             begin, end = part.growth.begin - steps, part.growth.end - steps
             part.growth = part.growth._replace(begin=begin, end=end)

@@ -6,9 +6,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.collectors import Collector
+from torchrl.data import Composite, Unbounded
 from torchrl.envs import Compose, RenameTransform, SerialEnv, TransformedEnv
 from torchrl.envs.utils import RandomPolicy
-from toy import ToyEnv
+from toy import NestedToyEnv, ToyEnv
 
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, task_transforms
@@ -264,6 +265,39 @@ def test_state_dict_round_trip_samples_identically():
     assert torch.equal(env.transform.weights, other.transform.weights)
     assert env.transform.weights.sum() > 15
     assert torch.equal(env.reset()["command"], other.reset()["command"])
+
+
+def test_limits_are_part_of_the_state():
+    env, other = make(), make()
+    env.transform.load_weights(torch.ones(CommandGrid().shape))
+    env.transform.limit((1.0, 0.4))
+    other.load_state_dict(env.state_dict())
+    commands = other.rollout(50, break_when_any_done=False)["command"].reshape(-1, 2)
+    assert (commands.abs() <= torch.tensor([1.1, 0.5]) + 1e-6).all()
+    old = env.transform.get_extra_state()
+    del old["limits"]  # of checkpoints from before limits were saved
+    other.transform.set_extra_state(old)
+    assert other.transform.limits.part.bounds == CommandGrid().bounds
+
+
+def test_an_env_whose_flags_are_nested():
+    keys = {"tracking_keys": [("agent", "reward")], "command_key": ("agent", "command")}
+    curriculum = CommandCurriculum((1.0,), **keys, thresholds=(0.8,), window=3, seed=0)
+    data = TransformedEnv(NestedToyEnv(), curriculum).rollout(8, break_when_any_done=False)
+    command, ended = data["agent", "command"], data["next", "agent", "done"][..., 0]
+    changed = (command[:, 1:] != command[:, :-1]).any(-1)
+    assert ended.nonzero().tolist() == [[0, 1], [0, 3], [0, 5], [0, 7], [1, 3], [1, 7]]
+    assert torch.equal(changed[0], ended[0, :-1])  # episodes of two steps; a window lasts three
+    assert changed[1].nonzero()[:, 0].tolist() == [2, 3, 6]
+
+
+def test_a_command_has_the_dtype_that_the_env_declares():
+    base = ToyEnv()
+    spec = base.observation_spec.clone()
+    spec["command"] = Unbounded((4, 2), dtype=torch.float64)
+    base.observation_spec, base.state_spec = spec, Composite(shape=(4,))
+    env = TransformedEnv(base, CommandCurriculum((1.0, 1.0), seed=0))
+    assert env.reset()["command"].dtype == torch.float64
 
 
 def test_state_of_another_batch_size_keeps_weights_and_renews_rows():

@@ -5,11 +5,13 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict.nn import TensorDictModule, TensorDictSequential
-from torchrl.envs import check_env_specs
+from torchrl.envs import TransformedEnv, check_env_specs
+from toy import ToyEnv
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs import make_env, make_riding_env
 from torchrl_atr.envs.tasks import walking
+from torchrl_atr.envs.transforms import FootRepositioning
 
 ACT = ("act", "extrinsic")
 
@@ -67,6 +69,24 @@ def test_it_keeps_the_contract_and_begins_again_where_an_episode_begins():
     begun = env.reset(td.set("_reset", again))
     assert (begun["foot_steps"][1, 0], begun["foot_steps"][1, 1:].abs().sum()) == (-1, 0)
     torch.testing.assert_close(begun["foot_steps"][[0, 2]], td["foot_steps"][[0, 2]])
+
+
+@pytest.mark.parametrize("batch", [(), (2, 3)])
+def test_envs_of_any_batch_shape(batch):
+    class Halves:
+        def start(self, robots):
+            return torch.zeros(robots, 1)
+
+        def __call__(self, action, proprio, extrinsic, state):
+            assert action.ndim == 2  # robots in rows
+            return action / 2, state + 1
+
+    env = TransformedEnv(ToyEnv(batch), FootRepositioning(Halves(), extrinsic_key="command"))
+    check_env_specs(env)
+    td = env.reset()
+    for steps in (1, 2):
+        td = env.step(td.set("action", torch.ones(*batch, 1)))["next"]
+        assert td["foot_steps"].tolist() == torch.full((*batch, 1), steps).tolist()
 
 
 def test_off_and_wrong_thresholds():

@@ -6,7 +6,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.envs import SerialEnv, TransformedEnv
-from toy import ToyEnv
+from toy import NestedToyEnv, ToyEnv
 
 from torchrl_atr.envs.transforms import ObservationHistory, task_transforms
 
@@ -101,6 +101,25 @@ def test_emitted_histories_are_never_rewritten():
         step, td = env.step_and_maybe_reset(env.rand_action(td))
         kept.append((step["next", "history"], step["next", "history"].clone()))
     assert all(torch.equal(now, then) for now, then in kept)
+
+
+def test_what_users_change_in_place_changes_nothing_else():
+    env = make()
+    td, first = env.reset(), None
+    for _ in range(3):
+        first = td["history"].clone()
+        step, after = env.step_and_maybe_reset(env.rand_action(td))
+        step["next", "history"].fill_(7.0)
+        assert torch.equal(td["history"], first)
+        td = after
+    assert not (env.step(env.rand_action(td))["next", "history"] == 7.0).any()
+
+
+def test_an_env_whose_flags_are_nested_resets_the_rows_that_ended():
+    keys = {"in_key": ("agent", "observation"), "out_key": ("agent", "history")}
+    env = TransformedEnv(NestedToyEnv(), ObservationHistory(2, **keys))
+    history = env.rollout(4, break_when_any_done=False)["agent", "history"].squeeze(-1)
+    assert history.tolist() == [[[0, 0], [0, 0], [0, 0], [0, 0]], [[0, 0], [0, 0], [0, 1], [1, 2]]]
 
 
 def observed(value, grad=False):

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs import TransformedEnv
 
-from torchrl_atr.envs import make_riding_env
+from torchrl_atr.envs import RidingEnv, make_riding_env
 from torchrl_atr.envs.transforms import CommandCurriculum, OverspeedTermination
 
 
@@ -38,6 +39,19 @@ def test_in_the_stack_overspeed_ends_its_own_episode():
     assert torch.allclose(total, after["next", "reward"], atol=1e-6)
     assert float(after["next", "speeds"][1, 0]) > 3.5  # the true terminal observation
     assert carried["speeds"][1].abs().max() < 1e-6
+
+
+def test_a_copy_of_a_stack_watches_the_curriculum_of_the_copy():
+    env = make_riding_env(num_envs=2, num_threads=1, seed=0, overspeed_margin=(2.0, 2.0))
+    copy = TransformedEnv(RidingEnv(num_envs=2, num_threads=1, seed=0), env.transform.clone())
+    curriculum = copy.transform[0]
+    curriculum.load_weights(torch.ones_like(curriculum.weights))  # frontier 15 m/s; of the original 0.5
+    ended = []
+    for each in (env, copy):
+        td = each.reset()
+        each.base_env.engine.hook.speeds[:, 0] = 6.0
+        ended.append(bool(each.step(td.set("action", torch.zeros(2, 12)))["next", "terminated"].all()))
+    assert ended == [True, False]
 
 
 def test_bad_margin():

@@ -8,7 +8,8 @@ from torchrl.envs import SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 from torchrl.testing.mocking_classes import CountingBatchedEnv, CountingEnv
 
-from torchrl_atr.envs.transforms import RandomizedStepCounter, TimeLimitGrowth
+from torchrl_atr._errors import InputError
+from torchrl_atr.envs.transforms import RandomizedStepCounter, TimeLimitGrowth, task_transforms
 
 LIMIT, ENVS = 10, 64
 
@@ -108,6 +109,25 @@ def test_a_restored_env_has_the_limits_that_it_had(kept):
 def test_impossible_multiples_are_refused(check_interval):
     with pytest.raises(ValueError, match=f"check_interval must be at least 1, got {check_interval}"):
         RandomizedStepCounter(LIMIT, check_interval=check_interval)
+
+
+@pytest.mark.parametrize(
+    ("growth", "words"),
+    [
+        (TimeLimitGrowth(0, 1, 2), "growth.first=0"),
+        (TimeLimitGrowth(LIMIT + 1, 1, 2), f"growth.first={LIMIT + 1}"),
+        (TimeLimitGrowth(1, 3, 2), "growth.end=2"),
+        (TimeLimitGrowth(1, 2, 3, 7.0), "growth.kept=7.0"),
+    ],
+)
+def test_impossible_growth_is_named(growth, words):
+    with pytest.raises(InputError, match=words):
+        env(growth=growth)
+
+
+def test_a_growing_limit_needs_staggered_starts():
+    with pytest.raises(InputError, match="give stagger=1 or more"):
+        task_transforms((1.0, 1.0), time_limit_growth=TimeLimitGrowth(1, 2, 3))
 
 
 def test_each_env_of_a_serial_one_draws_its_own():

@@ -81,3 +81,39 @@ class ToyEnv(EnvBase):
 
     def _set_seed(self, seed):
         pass
+
+
+class NestedToyEnv(EnvBase):
+    """Counts the steps of two rows, all entries below ``agent``; row i terminates at step ``lifetime[i]``."""
+
+    batch_locked = True
+    lifetime = torch.tensor([[2], [4]])
+
+    def __init__(self):
+        super().__init__(device="cpu", batch_size=torch.Size([2]))
+
+        def below(**entries):
+            return Composite(agent=Composite(**entries, shape=(2,)), shape=(2,))
+
+        self.observation_spec = below(observation=Unbounded((2, 1)))
+        self.action_spec = below(action=Bounded(-1.0, 1.0, (2, 1)))
+        self.reward_spec = below(reward=Unbounded((2, 1)))
+        self.full_done_spec = below(done=Binary(1, (2, 1)), terminated=Binary(1, (2, 1)))
+        self.time = torch.zeros(2, 1)
+
+    def _emit(self, **entries):
+        ended = self.time >= self.lifetime
+        own = {"observation": self.time.clone(), "done": ended, "terminated": ended.clone(), **entries}
+        return TensorDict({"agent": TensorDict(own, [2])}, [2])
+
+    def _reset(self, tensordict=None, **kwargs):
+        mask = None if tensordict is None else tensordict.get(("agent", "_reset"), None)
+        self.time = self.time.masked_fill(torch.ones(2, 1, dtype=torch.bool) if mask is None else mask, 0.0)
+        return self._emit()
+
+    def _step(self, tensordict):
+        self.time = self.time + 1
+        return self._emit(reward=torch.ones(2, 1))
+
+    def _set_seed(self, seed):
+        pass

@@ -15,6 +15,7 @@ from torchrl.data import Composite, Unbounded
 from torchrl_atr._checks import check_key, check_keys, check_kind, check_whole
 from torchrl_atr._inference import keeps_normal_tensors
 from torchrl_atr._registry import nearest_entry
+from torchrl_atr.envs.transforms.done_keys import flag_key
 from torchrl_atr.envs.transforms.grid import CommandGrid
 from torchrl_atr.envs.transforms.limits import CommandLimits
 from torchrl_atr.envs.transforms.rows import CommandRows
@@ -48,7 +49,7 @@ class CommandCurriculum(OwnGenerator):
         grid: The cells and the update rule.
         unscored_key: If given, a bool entry of the reset, ``(*B, 1)``: the first window of rows where it is true is not
             scored, since they started with part of the commanded speeds.
-        command_key: The key of the command, ``(*B, 2)``, m/s and rad/s.
+        command_key: The key of the command, ``(*B, 2)``, m/s and rad/s; beside the env's flags where these are nested.
         seed: Seed of the transform's generator.
 
     Raises:
@@ -182,7 +183,7 @@ class CommandCurriculum(OwnGenerator):
         fresh = self._make_rows()
         if tensordict is None:
             tensordict = TensorDict({}, batch_size=self.parent.batch_size, device=self.parent.device)
-        rows = self.rows.mask(None if fresh else tensordict.get("_reset", None))
+        rows = self.rows.mask(None if fresh else tensordict.get(flag_key(self, "_reset"), None))
         self.rows.restart(rows)
         self._draw(rows)
         self._started = rows
@@ -242,8 +243,9 @@ class CommandCurriculum(OwnGenerator):
         return other
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Return the generator's state and the grid's settings; weights and rows have their own entries."""
-        return {"generator": self._generator.get_state(), "grid": asdict(self.grid)}
+        """Return the generator's state, the grid's settings and the limits; weights and rows have their own entries."""
+        limits = self.limits.part.bounds
+        return {"generator": self._generator.get_state(), "grid": asdict(self.grid), "limits": limits}
 
     @keeps_normal_tensors
     def set_extra_state(self, state: dict[str, Any]) -> None:
@@ -255,6 +257,7 @@ class CommandCurriculum(OwnGenerator):
         saved = {name: tuple(v) if isinstance(v, list) else v for name, v in state["grid"].items()}
         if saved != asdict(self.grid):
             raise ValueError(f"the saved curriculum has the grid {saved}, this one {asdict(self.grid)}")
+        self.limit(state.get("limits", self.grid.bounds))
         self._restore_generator(state["generator"])
 
     def _declare(self, spec: Composite) -> Composite:
@@ -272,14 +275,15 @@ class CommandCurriculum(OwnGenerator):
             if self.rows.cells.device != self.weights.device:  # after a load from another device
                 self.rows.to(self.weights.device)
             return False
-        spec = self.parent.full_state_spec
-        known = self.command_key in spec.keys(True, True)
-        dtype = spec[self.command_key].dtype if known else torch.float32
+        specs = self.parent.full_observation_spec, self.parent.full_state_spec
+        dtypes = [spec[self.command_key].dtype for spec in specs if self.command_key in spec.keys(True, True)]
+        dtype = dtypes[0] if dtypes else torch.float32
         self.rows.allocate(batch, len(self.grid.bounds), len(self.in_keys), dtype, self.weights.device)
         return True
 
     def _close_windows(self, due: Tensor, next_tensordict: TensorDictBase) -> None:
-        done, terminated = (next_tensordict.get(key).reshape(-1) for key in ("done", "terminated"))
+        flags = (next_tensordict.get(flag_key(self, name)) for name in ("done", "terminated"))
+        done, terminated = (flag.reshape(-1) for flag in flags)
         passed = due & ~terminated & (self.rows.cells >= 0) & (self.rows.sums >= self._required).all(-1)
         if passed.any():
             self.weights.copy_(self.grid.update(self.weights, self.rows.cells[passed]))

@@ -65,11 +65,14 @@ class FootRepositioning(Transform):
         read = [tensordict.get(name, None) for name in names]
         if any(value is None for value in read):
             return tensordict
-        action, state = self.steps(*(value.detach() for value in read))
-        return tensordict.set(self.action_key, action).set(self.state_key, state)
+        shape = read[-1].shape[:-1]
+        action, state = self.steps(*(value.detach().reshape(-1, value.shape[-1]) for value in read))
+        tensordict.set(self.action_key, action.reshape(*shape, -1))
+        return tensordict.set(self.state_key, state.reshape(*shape, -1))
 
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
-        return tensordict_reset.set(self.state_key, self.steps.start(tensordict_reset.batch_size.numel()))
+        shape = tensordict_reset.batch_size
+        return tensordict_reset.set(self.state_key, self.steps.start(shape.numel()).reshape(*shape, -1))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set(self.state_key, tensordict.get(self.state_key))

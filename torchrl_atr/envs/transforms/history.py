@@ -14,9 +14,7 @@ from torchrl.envs.transforms import Transform
 
 from torchrl_atr._checks import check_flag, check_key, check_whole
 from torchrl_atr._inference import keeps_normal_tensors
-
-_SPARE_FRAMES = 4
-"""Steps before a buffer is full. With many robots some reset at nearly every step, which allocates a new one anyway."""
+from torchrl_atr.envs.transforms.done_keys import flag_key
 
 
 class ObservationHistory(Transform):
@@ -44,7 +42,7 @@ class ObservationHistory(Transform):
         10
     """
 
-    _buffer: Tensor | None
+    _frames: Tensor | None
 
     def __init__(
         self,
@@ -62,40 +60,23 @@ class ObservationHistory(Transform):
         super().__init__(in_keys=[in_key], out_keys=[out_key])
         self.length = length
         self.include_current = include_current
-        # Frames, o_{t-H} ... o_t the last ones before _end, and room for more, (*B, H + 1 + _SPARE_FRAMES, D). Each is
-        # written once: the emitted histories are views, and moving all frames at every step would dominate the cost.
-        self.register_buffer("_buffer", None, persistent=False)
-        self._end = 0
+        self.register_buffer("_frames", None, persistent=False)  # o_{t-H} ... o_t, (*B, H + 1, D); None before a reset
 
     @keeps_normal_tensors
     def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> TensorDictBase:
         first = self._observation(tensordict_reset)
-        shape = (*first.shape[:-2], self.length + 1, first.shape[-1])
-        mask = tensordict.get("_reset", None)
-        before = self._frames
-        if mask is None or before is None or before.shape != shape:
-            self._new_reel(first.expand(shape))
-        elif first.requires_grad or before.requires_grad:
-            self._new_reel(torch.where(mask.reshape(*shape[:-2], 1, 1), first, before))
-        else:
-            self._new_reel(before)
-            begins = mask.reshape(shape[:-2])
-            assert self._buffer is not None
-            self._buffer[begins, : self._end] = first[begins]
+        before, mask = self._frames, tensordict.get(flag_key(self, "_reset"), None)
+        frames = first.expand(*first.shape[:-2], self.length + 1, first.shape[-1])
+        if mask is not None and before is not None and before.shape == frames.shape:
+            frames = torch.where(mask.reshape(*first.shape[:-2], 1, 1), frames, before)
+        self._frames = frames
         return self._emit(tensordict_reset)
 
     @keeps_normal_tensors
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        before = self._frames
-        if before is None or self._buffer is None:
+        if self._frames is None:
             raise RuntimeError("ObservationHistory has no history before the first reset; call env.reset() first")
-        newest = self._observation(next_tensordict)
-        if newest.requires_grad or self._end == self._buffer.shape[-2]:
-            self._new_reel(torch.cat([before[..., 1:, :], newest], -2))
-        else:
-            # .data: the frames that autograd saved earlier have not changed
-            self._buffer.data[..., self._end : self._end + 1, :] = newest
-            self._end += 1
+        self._frames = torch.cat([self._frames[..., 1:, :], self._observation(next_tensordict)], -2)
         return self._emit(next_tensordict)
 
     def _call(self, next_tensordict: TensorDictBase) -> NoReturn:
@@ -128,28 +109,13 @@ class ObservationHistory(Transform):
 
     def get_extra_state(self) -> dict[str, Any]:
         """Return the frames, ``(*B, H + 1, D)``, or None before the first reset."""
-        frames = self._frames
-        return {"frames": None if frames is None else frames.clone()}
+        return {"frames": None if self._frames is None else self._frames.clone()}
 
     @keeps_normal_tensors
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore :meth:`get_extra_state`; frames of another shape are dropped at the next reset."""
         frames, device = state["frames"], self.parent.device if self.parent is not None else None
-        self._buffer, self._end = None, 0
-        if frames is not None:
-            self._new_reel(frames.to(device or frames.device, copy=True))
-
-    @property
-    def _frames(self) -> Tensor | None:
-        """Frames o_{t-H} ... o_t, (*B, H + 1, D); None before the first reset."""
-        return None if self._buffer is None else self._buffer[..., self._end - self.length - 1 : self._end, :]
-
-    def _new_reel(self, frames: Tensor) -> None:
-        """Begin a buffer with o_{t-H} ... o_t, (*B, H + 1, D), and room for more unless a graph holds them."""
-        self._buffer, self._end = frames, frames.shape[-2]
-        if not frames.requires_grad:
-            self._buffer = frames.new_empty(*frames.shape[:-2], self._end + _SPARE_FRAMES, frames.shape[-1])
-            self._buffer[..., : self._end, :] = frames
+        self._frames = None if frames is None else frames.to(device or frames.device, copy=True)
 
     def _observation(self, tensordict: TensorDictBase) -> Tensor:
         observation = tensordict.get(self.in_keys[0], None)
@@ -162,7 +128,6 @@ class ObservationHistory(Transform):
         return f"observation {self.in_keys[0]!r} is not among the env's entries {known}; name one of these as in_key"
 
     def _emit(self, tensordict: TensorDictBase) -> TensorDictBase:
-        end = self._end if self.include_current else self._end - 1
-        assert self._buffer is not None
-        shown = self._buffer[..., end - self.length : end, :]
-        return tensordict.set(self.out_keys[0], shown)
+        assert self._frames is not None
+        shown = self._frames[..., 1:, :] if self.include_current else self._frames[..., :-1, :]
+        return tensordict.set(self.out_keys[0], shown.clone())  # a copy: theirs to change, also in place

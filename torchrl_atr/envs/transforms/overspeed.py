@@ -12,6 +12,7 @@ from torchrl.envs.transforms import TerminateTransform, Transform
 
 from torchrl_atr._checks import check_key, check_keys, check_kind, check_number, check_pair
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
+from torchrl_atr.envs.transforms.done_keys import flag_key
 
 
 class OverspeedTermination(TerminateTransform):
@@ -62,6 +63,7 @@ class OverspeedTermination(TerminateTransform):
         found = [part for part in getattr(container, "transforms", ()) if isinstance(part, CommandCurriculum)]
         if found and all(part is not self._curriculum[0] for part in found):
             self._curriculum = found[-1:]
+        self.stop = self.too_fast  # of this transform, where it is a copy
 
     def too_fast(self, next_tensordict: TensorDictBase) -> Tensor:
         """Return the rows beyond the frontier and the margin, bool ``(*B, 1)``."""
@@ -71,9 +73,10 @@ class OverspeedTermination(TerminateTransform):
         return (speeds.abs() > limit).any(-1, keepdim=True)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        before = next_tensordict.get("terminated")
+        terminated = flag_key(self, "terminated")
+        before = next_tensordict.get(terminated)
         next_tensordict = super()._step(tensordict, next_tensordict)
-        ended = next_tensordict.get("terminated") & ~before
+        ended = next_tensordict.get(terminated) & ~before
         for key in self.reward_keys if self.penalty else ():
             reward = next_tensordict.get(key)
             next_tensordict.set(key, reward + self.penalty * ended.to(reward.dtype))

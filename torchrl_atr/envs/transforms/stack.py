@@ -8,6 +8,7 @@ from typing import Any
 from torchrl.envs.transforms import CatTensors, Compose, RewardSum, StepCounter
 
 from torchrl_atr._checks import check_flag, check_pair, check_whole
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs.transforms.compact_storage import CompactStorage
 from torchrl_atr.envs.transforms.curriculum import CommandCurriculum
 from torchrl_atr.envs.transforms.foot_repositioning import FootRepositioning
@@ -60,6 +61,9 @@ def task_transforms(
     Returns:
         The transforms, ``[0]`` being the curriculum: ``TransformedEnv(env, task_transforms(...))``.
 
+    Raises:
+        InputError: for a time limit that grows without ``stagger``, or a number out of range.
+
     Example:
         >>> [type(t).__name__ for t in task_transforms((0.2, 0.1), seed=0)]
         ['CommandCurriculum', 'CatTensors', 'ObservationHistory', 'StepCounter', 'RewardSum']
@@ -67,6 +71,8 @@ def task_transforms(
     max_steps, stagger = check_whole("max_steps", max_steps, low=1), check_whole("stagger", stagger)
     check_flag("compact_storage", compact_storage)
     check_whole("history_length", history_length, low=1)
+    if time_limit_growth is not None and not stagger:
+        raise InputError("time_limit_growth needs staggered first episodes; give stagger=1 or more")
     if overspeed_margin is not None:
         check_pair("overspeed_margin", overspeed_margin, "two positive numbers (m/s, rad/s)")
     command = CommandCurriculum(tracking_max, **curriculum)

@@ -9,7 +9,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.envs.transforms import StepCounter
 
-from torchrl_atr._checks import check_whole
+from torchrl_atr._checks import check_number, check_whole
 from torchrl_atr.envs.transforms.seeding import OwnGenerator, make_generator
 
 _NEVER = torch.iinfo(torch.int64).max
@@ -63,7 +63,8 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
         growth (TimeLimitGrowth, optional): A lower limit at first, for training that begins with short episodes.
 
     Raises:
-        ValueError: ``check_interval`` is not positive.
+        ValueError: ``check_interval`` is not positive, or the growth does not lead from a limit of 1 or more to
+            ``max_steps``.
 
     Example:
         >>> from torchrl.envs import TransformedEnv
@@ -82,6 +83,10 @@ class RandomizedStepCounter(OwnGenerator, StepCounter):
         check_interval = check_whole("check_interval", check_interval, None)
         if check_interval < 1:
             raise ValueError(f"check_interval must be at least 1, got {check_interval}")
+        if growth is not None:
+            check_whole("growth.first", growth.first, low=1, high=self.max_steps)
+            check_whole("growth.end", growth.end, low=check_whole("growth.begin", growth.begin))
+            check_number("growth.kept", growth.kept, 0.0, 1.0)
         self.check_interval, self.growth = check_interval, growth
         self._generator = make_generator(seed)
         self._steps = 0

@@ -65,12 +65,14 @@ def with_state(env: EnvBase, module: TensorDictModuleBase) -> EnvBase:
     for key in known:
         if spec[key].shape[len(env.batch_size) :] != wanted[key]:
             raise InputError(f"the env carries a state {key!r} of another size than this policy's; make a new env")
-    if known:
+    new = [part for part in _parts(primer) if not set(_shapes(part)) <= set(known)]
+    if not new:
         return env
     env = env if isinstance(env, TransformedEnv) else TransformedEnv(env)
     if IS_INIT not in spec.keys(True, True):
         env.append_transform(InitTracker())
-    env.append_transform(primer)
+    for part in new:
+        env.append_transform(part)
     return env
 
 
@@ -86,5 +88,8 @@ def state_shapes(module: TensorDictModuleBase) -> dict[NestedKey, torch.Size]:
 
 
 def _shapes(primer: Transform | None) -> dict[NestedKey, torch.Size]:
-    parts: Any = primer if isinstance(primer, Compose) else [] if primer is None else [primer]
-    return {unravel_key(key): spec.shape for part in parts for key, spec in part.primers.items(True, True)}
+    return {unravel_key(key): spec.shape for part in _parts(primer) for key, spec in part.primers.items(True, True)}
+
+
+def _parts(primer: Transform | None) -> list[Any]:
+    return list(primer) if isinstance(primer, Compose) else [] if primer is None else [primer]
