@@ -51,6 +51,10 @@ def test_robustness_is_many_short_rides_of_the_training_range():
         (["--protocol", "endurance", "--parameters", "payload"], "--parameters: only of --protocol robustness"),
         (["--protocol", "robustness", "--on", "go1/two_board"], "--on: only of --protocol compatibility"),
         (["--protocol", "robustness", "--command-range", "record"], "take --protocol tracking"),
+        (["--command-range", "record", "--act-source", "privileged"], "leave out --act-source privileged"),
+        (["--command-range", "record", "--sensors", "ideal"], "leave out --sensors ideal"),
+        (["--command-range", "record", "--checkpoint", "best"], "leave out --checkpoint best"),
+        (["--protocol", "robustness", "--randomization", "off"], "begins with the training range"),
         (["--protocol", "compatibility", "--robot", "go1"], "give --on ROBOT/TRANSPORTER"),
     ],
 )

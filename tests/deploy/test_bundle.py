@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from torchrl_atr.deploy.card import card, check_scorecard
 from torchrl_atr.deploy.episode import ROBOTS as RECORDED
 from torchrl_atr.deploy.episode import STEPS
 from torchrl_atr.deploy.export import LARGEST, export_run
-from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, WEIGHTS, report_home
+from torchrl_atr.deploy.manifest import EPISODE, MANIFEST, POLICY, SCENE, SCHEMA, WEIGHTS, report_home
 from torchrl_atr.deploy.reports import copy_reports
 from torchrl_atr.deploy.weights import write_weights
 from torchrl_atr.envs.models import ROBOTS
@@ -138,7 +139,7 @@ def test_an_installed_bundle_is_a_name_wherever_a_run_is(bundle, tmp_path, monke
     assert main(["plot", "ours=mine", "--output", "figures"]) == 0
     drawn = [Path(line).stem for line in capsys.readouterr().out.split()]
     assert drawn == ["learning_curves", "endurance", "command_area"]
-    assert report_home(tmp_path / "policies" / "mine") == Path("runs/a1-single_board")
+    assert report_home(tmp_path / "policies" / "mine") == Path("runs/policies/a1-single_board")
     session = Session(Setup(tmp_path / "policies" / "mine"))
     session.steer(1.0, 0.0)
     assert session.step().actual.shape == (2,)
@@ -269,8 +270,44 @@ def test_what_cannot_be_exported_is_refused_and_leaves_nothing(bundle, tmp_path,
     (taken / "notes.txt").touch()
     assert main(["export", str(RUN), "--output", str(taken)]) == 2
     assert "holds something else" in capsys.readouterr().err
+    for text in ('{"name": "my web app"}', json.dumps({"schema": SCHEMA, "files": {}})):
+        (taken / MANIFEST).write_text(text)  # not a bundle's, and that of one with a file more
+        assert main(["export", str(RUN), "--output", str(taken)]) == 2
+        assert "holds something else" in capsys.readouterr().err
     assert not output.exists()
     assert {path.name for path in tmp_path.iterdir()} == {"taken"}
+    assert (taken / "notes.txt").exists()
+
+
+def test_a_bundle_is_replaced_whole_or_not_at_all(tmp_path, tiny_run, monkeypatch):
+    run, folder = tiny_run(), tmp_path / "mine"
+    export_run(run, folder)
+    before = (folder / MANIFEST).read_text()
+    move = os.replace
+
+    def stopped_between(source, target):
+        if str(source).endswith(".part"):
+            raise KeyboardInterrupt
+        move(source, target)
+
+    monkeypatch.setattr(export.os, "replace", stopped_between)
+    with pytest.raises(KeyboardInterrupt):
+        export_run(run, folder)
+    assert (folder / MANIFEST).read_text() == before
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    export_run(run, "mine")
+    assert {path.name for path in tmp_path.iterdir() if path != run} == {"mine"}
+
+
+def test_the_evaluation_that_a_run_holds_goes_with_its_bundle(tmp_path):
+    (tmp_path / "run").mkdir()
+    report = {"protocol": "tracking", "run": {"seed": 1}, "survival": 1.0}
+    (tmp_path / "run" / "metrics.json").write_text(json.dumps(report))
+    (tmp_path / "bundle").mkdir()
+    copy_reports(tmp_path / "run", tmp_path / "bundle", {"seed": 1})
+    assert json.loads((tmp_path / "bundle" / "tracking" / "metrics.json").read_text()) == report
+    assert not (tmp_path / "bundle" / "endurance").exists()
 
 
 def test_a_policy_that_acts_otherwise_than_torch_is_not_exported(bundle, tmp_path, monkeypatch):
@@ -296,7 +333,7 @@ def test_a_policy_that_acts_otherwise_than_torch_is_not_exported(bundle, tmp_pat
 def test_a_report_of_a_bundle_is_not_written_into_it(bundle):
     asked = {"run": bundle, "command_range": "apply", "protocol": "endurance", "output": None}
     arguments = argparse.Namespace(**asked, robot=None, transporter=None)
-    assert commands._report_folder(arguments) == Path("runs/a1-single_board/endurance")
+    assert commands._report_folder(arguments) == Path("runs/policies/a1-single_board/endurance")
 
 
 def test_the_card_has_the_sweeps_that_were_measured(bundle, tmp_path):

@@ -59,6 +59,15 @@ def test_a_wrong_file_names_the_entry(tmp_path, text, message):
         load_map(file)
 
 
+def test_files_of_another_kind_are_named(tmp_path):
+    (tmp_path / "latin.toml").write_bytes(b"# K\xf6ln")
+    (tmp_path / "text.png").write_text("no image")
+    (tmp_path / "number.toml").write_text("outline = [[0, 0], [9, 0], [9, 9]]\ncircle = 5")
+    for name, message in (("latin.toml", "UTF-8"), ("text.png", "as an image"), ("number.toml", "circle is 5")):
+        with pytest.raises(MapError, match=message):
+            load_map(tmp_path / name)
+
+
 def test_unknown_names_and_missing_files_say_what_there_is():
     with pytest.raises(UnknownNameError, match="did you mean 'streets'"):
         load_map("street")

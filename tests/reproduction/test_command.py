@@ -8,6 +8,8 @@ import pytest
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.cli import main
+from torchrl_atr.cli import reproduce as command
+from torchrl_atr.cli.reproduce import FIGURES, Figure
 from torchrl_atr.reproduction import figure6, paper, policies
 from torchrl_atr.reproduction.table5 import table5
 from torchrl_atr.reproduction.tracking import grid_of
@@ -64,6 +66,20 @@ def test_the_command_writes_the_report_and_says_how_to_make_it_again(untrained_r
     assert f"wrote {output / 'README.md'}" in capsys.readouterr().out
     page = (output / "README.md").read_text()
     assert f"`torchrl-atr reproduce figure6 --policies {untrained_run} --seed 7 --quick`, seed 7" in page
+
+
+def test_all_leaves_out_what_a_policy_does_not_fit(untrained_run, tmp_path, capsys, monkeypatch):
+    def refuse(job, folder):
+        raise InputError("no policy fits")
+
+    figures = {"figure4": Figure(lambda imports: refuse, ()), "figure6": FIGURES["figure6"]}
+    monkeypatch.setattr(command, "FIGURES", figures)
+    monkeypatch.setattr(figure6, "QUICK", figure6.Sizes(1, 0.06))
+    words = ["reproduce", "all", "--policies", str(untrained_run), "--quick", "--output", str(tmp_path / "all")]
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert "figure4 is left out: no policy fits" in out
+    assert "Not made: figure4" in (tmp_path / "all" / "README.md").read_text()
 
 
 def test_another_command_space_has_as_many_commands(job):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +17,7 @@ from torchrl_atr.reproduction import figure5 as module
 from torchrl_atr.reproduction import trip_groups
 from torchrl_atr.reproduction.figure5 import figure5
 from torchrl_atr.reproduction.trip_groups import Method, group_of, speed_text
+from torchrl_atr.training import make_config
 
 YARD = "outline = [[0, 0], [40, 0], [40, 40], [0, 40]]\n"
 
@@ -84,8 +86,16 @@ def test_trips_are_as_fast_as_all_of_a_group_take(monkeypatch):
 
 def test_a_policy_that_hardly_moves_is_refused_before_the_simulation(job, tmp_path, monkeypatch):
     monkeypatch.setattr(trip_groups, "SLOWEST", 50.0)
-    with pytest.raises(InputError, match="takes commands up to 15 m/s, and trips are at 50 m/s or more"):
+    with pytest.raises(InputError, match=r"takes commands up to 2\.2 m/s, and trips are at 50 m/s or more"):
         figure5(job, tmp_path, maps=["open"])
+
+
+def test_policies_of_the_other_task_are_refused(job, tmp_path):
+    with pytest.raises(InputError, match=r"--walking .*: it is a1-single_board; give it with --policies"):
+        figure5(job, tmp_path, walking=job.policies, maps=["open"])
+    walker = replace(job.policies[0], name="a1-walking", config=make_config({"task.name": "walking"}))
+    with pytest.raises(InputError, match=r"--policies .*: it is a1-walking; give it with --walking"):
+        figure5(replace(job, policies=[walker]), tmp_path, maps=["open"])
 
 
 def test_without_a_policy_there_is_nothing_to_do(job, tmp_path):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from torchrl_atr._errors import InputError
 from torchrl_atr._interrupt import Stopped
 from torchrl_atr._registry import UnknownNameError
 from torchrl_atr.evaluation import TrackingResult
@@ -73,6 +74,14 @@ def test_claims_compare_with_the_full_method_over_seeds():
     claims = module._claims({name: [covering(share) for share in shares] for name, shares in results.items()})
     assert [claim.verdict for claim in claims] == ["holds", "cannot be told", "cannot be told"]
     assert claims[0].value == pytest.approx(13 / 30)
+
+
+def test_settings_that_leave_nothing_to_compare_or_another_robot_are_refused(job, tmp_path):
+    with pytest.raises(InputError, match="no symmetry: these settings are those of 'full' already"):
+        figure7(job, tmp_path, variants=["no symmetry"], settings={"preset": "paper"})
+    for name, value in {"task.robot": "go1", "task.transporter": "two_board", "seed": 5}.items():
+        with pytest.raises(InputError, match=rf"{name}=.*leave it out"):
+            figure7(job, tmp_path, settings={name: value})
 
 
 def test_an_unknown_variant_is_refused(job, tmp_path):

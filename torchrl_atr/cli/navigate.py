@@ -43,7 +43,7 @@ def add_navigate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=seed, default=0)
     parser.add_argument("--sensors", metavar="NAME", help="default: the run's")
     parser.add_argument(
-        "--output", type=file_path, help="default: RUN/navigation/MAP, of a policy runs/NAME/navigation/MAP"
+        "--output", type=file_path, help="default: RUN/navigation/MAP, of a bundle runs/policies/NAME/navigation/MAP"
     )
 
 
@@ -56,12 +56,13 @@ def navigate(arguments: argparse.Namespace) -> None:
     from torchrl_atr.navigation.report import trip_metrics, write_trips
     from torchrl_atr.navigation.trips import check_commands, footprint_of
     from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
+    from torchrl_atr.training.loading import commanded_range
 
     where = load_map(arguments.map, arguments.resolution)
     output = arguments.output or report_home(arguments.run) / "navigation" / where.name
     chosen = {**DEPLOYMENT_OVERRIDES, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
     config, env, networks, state = load_run(arguments.run, None, (), num_envs=1, **chosen)
-    limits, footprint = networks.command_range, footprint_of(env)
+    limits, footprint = commanded_range(config, networks), footprint_of(env)
     response = RESPONSES.get(config.task.name, 0.0) if arguments.response is None else arguments.response
     most = arguments.max_yaw_rate or min(1.0, math.inf if limits is None else limits.max_yaw_rate)
     pursuit = PursuitConfig(arguments.speed, most, response=response)
@@ -80,6 +81,7 @@ def navigate(arguments: argparse.Namespace) -> None:
             )
         metrics = trip_metrics(result)
         asked |= {"map": where.name, "pursuit": dataclasses.asdict(pursuit), "seed": arguments.seed}
+        asked |= {"sensors": arguments.sensors or config.task.sensors}
         with whole(output) as folder:
             write_trips(result, paths, where, {**metrics, "asked": asked, "run": state["provenance"]}, folder)
     say("\n".join([*_report(metrics), f"report in {output}"]))

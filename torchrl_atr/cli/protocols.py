@@ -73,6 +73,26 @@ def fill_options(arguments: argparse.Namespace) -> None:
     for name, value in own.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, value)
+    _check_conditions(arguments)
+
+
+def _check_conditions(arguments: argparse.Namespace) -> None:
+    from torchrl_atr.cli.parser import option
+    from torchrl_atr.training import ConfigError
+
+    if arguments.command_range == "record":
+        deployed = {"act_source": "estimated", "sensors": None, "randomization": "train", "checkpoint": "last"}
+        for name, value in deployed.items():
+            if (chosen := getattr(arguments, name)) != value:
+                raise ConfigError(
+                    "--command-range record: the range is that of the deployed policy in training conditions; leave "
+                    f"out {option(name)} {chosen}"
+                )
+    if arguments.protocol == "robustness" and arguments.randomization != "train":
+        raise ConfigError(
+            f"--randomization {arguments.randomization}: --protocol robustness begins with the training range; leave "
+            "it out"
+        )
 
 
 def tracking(

@@ -156,8 +156,13 @@ def reproduce(arguments: argparse.Namespace) -> None:
     for name, make in makers.items():
         folder = output / name if several else output
         job = Job(policies, Parts(shared / "parts"), command, arguments.seed, arguments.quick, imports, step_progress)
-        with folder_for(folder):
-            say(f"wrote {make(job, folder)}")
+        try:
+            with folder_for(folder):
+                say(f"wrote {make(job, folder)}")
+        except UserError as error:
+            if arguments.name != ALL:
+                raise
+            say(f"{name} is left out: {error}")
     if several:
         say(f"wrote {summary(output)}")
 
@@ -197,7 +202,7 @@ def _words(arguments: argparse.Namespace) -> Iterator[str]:
     """Yield the words of the command that makes the same again."""
     yield from ("torchrl-atr", "reproduce", arguments.name)
     for name, value in vars(arguments).items():
-        if name in ("command", "parser", "name", "output") or value in (None, False, [], 0):
+        if name in ("command", "parser", "name", "output") or value is None or value is False:
             continue
         if name == "imports":
             yield from (word for module in value for word in ("--import", module))

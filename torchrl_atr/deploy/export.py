@@ -22,7 +22,7 @@ from torchrl_atr.deploy.card import card, check_scorecard, figures
 from torchrl_atr.deploy.description import describe_policy
 from torchrl_atr.deploy.episode import record
 from torchrl_atr.deploy.loading import load_policy
-from torchrl_atr.deploy.manifest import CARD, EPISODE, MANIFEST, POLICY, SCENE, is_bundle, seal, sha256
+from torchrl_atr.deploy.manifest import CARD, EPISODE, MANIFEST, POLICY, SCENE, is_bundle, is_whole_bundle, seal, sha256
 from torchrl_atr.deploy.parity import Parity, verify
 from torchrl_atr.deploy.policy_step import MEMORY, PolicyStep, StepOutput
 from torchrl_atr.deploy.reports import copy_reports
@@ -58,20 +58,23 @@ def export_run(
             another training, the bundle is too large, or ONNX Runtime acts otherwise than torch.
         MissingPackageError: if a package of the extra ``deploy`` is not installed.
     """
-    run, output = Path(run), Path(output)
+    run, output = Path(run), Path(output).resolve()
     if is_bundle(run):
         raise UserError(f"{run} is a bundle already; copy its folder, or give the run that it was exported from")
-    if output.exists() and not is_bundle(output) and (output.is_file() or any(output.iterdir())):
-        raise UserError(f"{output} holds something else; give the path of a new folder")
-    staged = output.with_name(f".{output.name}.{os.getpid()}.part")
+    if output.is_file() or (output.exists() and any(output.iterdir()) and not is_whole_bundle(output)):
+        raise UserError(f"{output} holds something else than a bundle; give the path of a new folder")
+    staged, before = (output.with_name(f".{output.name}.{os.getpid()}.{kind}") for kind in ("part", "old"))
     try:
         staged.mkdir(parents=True)
-        parity = _write(run, staged, output.resolve().name, imports, checkpoint)
+        parity = _write(run, staged, output.name, imports, checkpoint)
         if output.exists():
-            shutil.rmtree(output)
+            os.replace(output, before)
         os.replace(staged, output)
     finally:
-        shutil.rmtree(staged, ignore_errors=True)
+        if before.exists() and not output.exists():  # interrupted between the two
+            os.replace(before, output)
+        for left in (staged, before):
+            shutil.rmtree(left, ignore_errors=True)
     return parity
 
 

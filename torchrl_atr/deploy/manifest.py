@@ -56,18 +56,30 @@ def find_policy(run: str | Path) -> Path:
 
 
 def report_home(run: Path) -> Path:
-    """Return the folder for reports about a run: itself, or ``runs/NAME`` for a bundle, whose files are sealed.
+    """Return the folder for reports about a run: itself; for a bundle, whose files are sealed, ``runs/policies/NAME``.
 
     Example:
         >>> report_home(Path("runs/ride")).as_posix()
         'runs/ride'
     """
-    return Path("runs") / run.resolve().name if is_bundle(run) else run
+    return Path("runs", "policies", run.resolve().name) if is_bundle(run) else run
 
 
 def is_bundle(folder: Path) -> bool:
     """Return whether a folder holds a manifest."""
     return (folder / MANIFEST).is_file()
+
+
+def is_whole_bundle(folder: Path) -> bool:
+    """Return whether a folder holds a bundle of any version, and no other file: it may be replaced."""
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    if not isinstance(manifest, dict) or manifest.get("schema") != SCHEMA:
+        return False
+    held = {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
+    return held <= {MANIFEST, *manifest.get("files", ())}
 
 
 def ground_of(manifest: Mapping[str, Any]) -> str:

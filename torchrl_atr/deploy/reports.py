@@ -33,10 +33,15 @@ def copy_reports(run: Path, folder: Path, trained: Mapping[str, Any]) -> None:
     if (run / LOG).is_file():
         copy_log(run, folder, _ROWS, ("frames", *CURVES))
     for protocol in PROTOCOLS:
-        report = read_report(run / protocol / "metrics.json")
-        if report is None or report.get("run") != trained:
-            continue
-        (folder / protocol).mkdir()
-        (folder / protocol / "metrics.json").write_text(json.dumps(report, separators=(",", ":")), encoding="utf-8")
-        if (trials := run / protocol / _TRIALS).is_file():  # for the heat maps, which need no estimates
-            save_tracking(dataclasses.replace(load_tracking(trials), estimators=None), folder / protocol / _TRIALS)
+        for home in (run / protocol, run):  # `evaluate` writes what it measures by default into the run itself
+            report = read_report(home / "metrics.json")
+            if report and report.get("run") == trained and (home != run or report.get("protocol") == protocol):
+                _copy_report(report, home, folder / protocol)
+                break
+
+
+def _copy_report(report: Mapping[str, Any], home: Path, folder: Path) -> None:
+    folder.mkdir()
+    (folder / "metrics.json").write_text(json.dumps(report, separators=(",", ":")), encoding="utf-8")
+    if (trials := home / _TRIALS).is_file():  # for the heat maps, which need no estimates
+        save_tracking(dataclasses.replace(load_tracking(trials), estimators=None), folder / _TRIALS)

@@ -105,11 +105,11 @@ def load_map(source: str | Path | Map, resolution: float = 0.1) -> Map:
     if path.suffix.lower() in _IMAGES:
         return _from_image(_existing(path), check_number("resolution", resolution, above=0.0))
     if path.suffix == ".toml":
-        return _from_toml(_existing(path).read_text(), path.stem)
+        return _from_toml(_existing(path).read_bytes(), path.stem)
     if str(source) not in map_names():
         known = nearest(str(source), map_names())
         raise UnknownNameError(f"unknown map {str(source)!r}; {known}, or give a .toml file or an image")
-    return _from_toml((_MAPS / f"{source}.toml").read_text(), str(source))
+    return _from_toml((_MAPS / f"{source}.toml").read_bytes(), str(source))
 
 
 _MAPS = resources.files("torchrl_atr.navigation") / "maps"
@@ -131,13 +131,16 @@ def _existing(path: Path) -> Path:
     return path
 
 
-def _from_toml(text: str, name: str) -> Map:
+def _from_toml(content: bytes, name: str) -> Map:
     try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise MapError(f"map {name!r} is not TOML: {error}") from error
+        values = tomllib.loads(content.decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise MapError(f"map {name!r} is not TOML in UTF-8: {error}") from error
     if unknown := set(values) - {"outline", *_SHAPES}:
         raise MapError(f"map {name!r}: unknown entry {min(unknown)!r}; take outline, {', '.join(_SHAPES)}")
+    for kind in _SHAPES:
+        if not isinstance(values.get(kind, []), list):
+            raise MapError(f"map {name!r}: {kind} is {values[kind]!r}; give a list, such as by [[{kind}]]")
     outline = _shape("polygon", {"corners": values.get("outline")}, f"map {name!r}: outline")
     obstacles = [
         _shape(kind, each, f"map {name!r}: {kind} {i}")
@@ -164,7 +167,10 @@ def _shape(kind: str, values: dict[str, Any], where: str) -> BaseGeometry:
 def _from_image(path: Path, resolution: float) -> Map:
     import matplotlib.image
 
-    pixels = np.asarray(matplotlib.image.imread(path), dtype=float)
+    try:
+        pixels = np.asarray(matplotlib.image.imread(path), dtype=float)
+    except (SyntaxError, OSError, ValueError) as error:
+        raise MapError(f"map {path} cannot be read as an image ({error}); give a PNG or another image") from error
     grey = pixels[..., :3].mean(-1) if pixels.ndim == 3 else pixels
     dark = grey < 0.5 * (255.0 if grey.max() > 1.0 else 1.0)
     height, width = dark.shape

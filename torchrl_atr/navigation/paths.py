@@ -164,7 +164,8 @@ def plan_all(starts: Sequence[Place], workers: int, seed: int, **arguments: Any)
         try:
             return [task.result() for task in tasks]
         except BaseException:  # the other paths are not needed
-            pool.shutdown(wait=False, cancel_futures=True)
+            for task in tasks:
+                task.cancel()
             raise
 
 

@@ -69,6 +69,11 @@ def figure5(
         raise InputError("Figure 5 needs policies that ride; give --policies RUN")
     sizes = QUICK if job.quick else Sizes()
     places = [load_map(source) for source in maps or sizes.maps]
+    for option, policies, rides in (("--policies", job.policies, True), ("--walking", walking, False)):
+        for policy in policies:
+            if policy.rides != rides:
+                other = "--policies" if policy.rides else "--walking"
+                raise InputError(f"{option} {policy.folder}: it is {policy.name}; give it with {other}")
     methods = [method_of(policy) for policy in (*job.policies, *walking)]
     groups = {group: group_of(group, methods) for group in sorted({method.group for method in methods})}
     routes = {
@@ -142,7 +147,10 @@ def _routes(job: Job, where: Map, group: Group, starts: int) -> list[Route]:
 
 def _trips(job: Job, method: Method, where: Map, paths: Sequence[Route], speed: float) -> TripsResult:
     policy, length = method.policy, [round(path.length, 6) for path in paths]
-    pursuit = PursuitConfig(speed=speed, response=RESPONSES.get(policy.config.task.name, 0.0))
+    response = RESPONSES.get(policy.config.task.name, 0.0)
+    pursuit = PursuitConfig(
+        speed=speed, max_yaw_rate=min(PursuitConfig.max_yaw_rate, method.turning), response=response
+    )
     asked = {"policy": policy.fingerprint, "map": where.free.wkt, "paths": length, "seed": job.seed}
     asked |= {"pursuit": asdict(pursuit)}
 

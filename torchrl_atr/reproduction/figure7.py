@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from torchrl_atr._errors import InputError
 from torchrl_atr._files import say
 from torchrl_atr._interrupt import Stopped
 from torchrl_atr._registry import unknown
@@ -80,7 +81,8 @@ def figure7(
         grid: commands and trials of the measurement; by default the job's.
 
     Raises:
-        UnknownNameError: for an unknown variant. ConfigError: for wrong settings; before anything is trained.
+        UnknownNameError: for an unknown variant. InputError: for wrong settings, those of another robot, transporter or
+            seed, and variants that change nothing; before anything is trained.
         Stopped: when a signal stops a training, which is saved; the same command goes on with it.
     """
     from torchrl_atr.reproduction.figures import plot_areas, plot_error_maps  # imports matplotlib
@@ -88,6 +90,12 @@ def figure7(
     names = chosen_variants(variants)
     sizes = QUICK if job.quick else Sizes()
     count = seeds or sizes.seeds
+    _check_settings(settings or {})
+    full, *others = (_config(name, job.seed, sizes, frames, settings or {}, job.imports) for name in (FULL, *names))
+    same = [name for name, config in zip(names, others) if name != FULL and config == full]
+    names = [name for name in names if name not in same]
+    if not names:
+        raise InputError(f"{', '.join(same)}: these settings are those of {FULL!r} already; choose other variants")
     configs = {
         (name, seed): _config(name, seed, sizes, frames, settings or {}, job.imports)
         for name in names
@@ -109,6 +117,8 @@ def figure7(
         "interval over seeds. Heat maps are means over seeds, bands reach from the lowest seed to the highest. The "
         "paper trains for 75,000 episodes, and prints no number."
     )
+    if same:
+        text += f" Left out, as the settings of all trainings are theirs already: {', '.join(same)}."
     sections = [text, _table(figures), "![command areas](command_area.png)", "![combined errors](heatmaps.png)"]
     return write_report(
         job,
@@ -137,6 +147,16 @@ def chosen_variants(variants: Sequence[str] | None) -> list[str]:
         if name not in VARIANTS:
             raise unknown("variant", name, VARIANTS)
     return [name for name in VARIANTS if variants is None or name in variants]
+
+
+def _check_settings(settings: Mapping[str, Any]) -> None:
+    config = make_config(settings)
+    given = {"task.robot": config.task.robot, "task.transporter": config.task.transporter, "seed": config.seed}
+    for (name, value), own in zip(given.items(), ("a1", "single_board", 0)):
+        if value != own:
+            raise InputError(
+                f"{name}={value!r}: Figure 7 is of A1 on the single board, and --seed gives its seeds; leave it out"
+            )
 
 
 def _config(

@@ -11,6 +11,7 @@ from torchrl_atr.evaluation.access import command_limits
 from torchrl_atr.navigation.trips import footprint_of
 from torchrl_atr.reproduction.paper import SPEEDS
 from torchrl_atr.reproduction.policies import RiderPolicy
+from torchrl_atr.training.loading import commanded_range
 
 SLOWEST = 0.5
 """Least speed of a trip, m/s."""
@@ -40,7 +41,7 @@ class Method(NamedTuple):
         robot: its name.
         group: size class of the robot, which decides the speed.
         footprint: length and width of what must not touch an obstacle, m.
-        fastest: largest speed that it takes, m/s.
+        fastest, turning: largest speed and yaw rate that it takes, m/s and rad/s.
     """
 
     policy: RiderPolicy
@@ -48,6 +49,7 @@ class Method(NamedTuple):
     group: str
     footprint: tuple[float, float]
     fastest: float = math.inf
+    turning: float = math.inf
 
 
 def method_of(policy: RiderPolicy) -> Method:
@@ -60,16 +62,17 @@ def method_of(policy: RiderPolicy) -> Method:
     env.reset()
     robot = env.base_env.scene.robot
     method = Method(policy, robot.name, robot.group, footprint_of(env))
-    _, high = command_limits(env, (math.inf, math.inf))
-    limits = policy.networks.command_range
-    fastest = min(float(high[0]), math.inf if limits is None else limits.max_speed)
+    limits = [command_limits(env, (math.inf, math.inf))[1].tolist()]
+    if (own := commanded_range(policy.config, policy.networks)) is not None:
+        limits.append([own.max_speed, own.max_yaw_rate])
+    fastest, turning = (min(values) for values in zip(*limits))
     env.close(raise_if_closed=False)
     if fastest < SLOWEST:
         raise InputError(
             f"{policy.name}, {policy.folder}: it takes commands up to {fastest:g} m/s, and trips are at "
             f"{SLOWEST:g} m/s or more; give a policy that takes them, or leave it out"
         )
-    return method._replace(fastest=fastest)
+    return method._replace(fastest=fastest, turning=turning)
 
 
 def group_of(name: str, methods: Sequence[Method]) -> Group:
