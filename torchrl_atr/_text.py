@@ -28,6 +28,16 @@ def number(value: float | None, width: int, decimals: int) -> str:
     return text.rjust(width)
 
 
+def with_unit(label: str, unit: str | None) -> str:
+    """Return a quantity's label with its unit, if it has one.
+
+    Example:
+        >>> with_unit("speed", "m/s"), with_unit("contact", "1")
+        ('speed, m/s', 'contact')
+    """
+    return label if unit in (None, "1") else f"{label}, {unit}"
+
+
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     r"""Return a Markdown table; bars in cells are escaped.
 

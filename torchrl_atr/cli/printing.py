@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._files import say
-from torchrl_atr._text import number
+from torchrl_atr._text import number, with_unit
 
 if TYPE_CHECKING:
     from torchrl_atr.evaluation import ReplayedStep
@@ -162,8 +162,7 @@ def estimator_lines(errors: dict[str, Any] | None) -> Iterator[str]:
     yield f"{'estimation error, |estimate - truth|':40}{'mean':>10}{'std':>14}"
     rows = [] if errors["latent"] is None else [errors["latent"]]
     for row in [*rows, *errors["extrinsic"]]:
-        label = row["label"] if row["unit"] in (None, "1") else f"{row['label']}, {row['unit']}"
-        yield f"{label:40}{number(row['mean'], 10, 3)} {number(row['std'], 13, 3)}"
+        yield f"{with_unit(row['label'], row['unit']):40}{number(row['mean'], 10, 3)} {number(row['std'], 13, 3)}"
 
 
 def replay_head() -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from urllib.parse import quote
 
 from torchrl_atr._files import atomic, write_json
-from torchrl_atr._text import markdown_table
+from torchrl_atr._text import markdown_table, with_unit
 from torchrl_atr.comparison.summary import by_history, own_length
 
 
@@ -93,7 +93,7 @@ def _section(sensors: str, figures: Mapping[str, Any]) -> Iterable[str]:
     components = [row["components"] for row in scored.values()]
     body = [
         [
-            _label(same[0]),
+            with_unit(same[0]["label"], same[0]["unit"]),
             *(f"{_number(each['rmse']['value'])} ({_number(each['r_squared']['value'])})" for each in same),
         ]
         for same in zip(*components)
@@ -113,11 +113,6 @@ def _ride(name: str, ride: Mapping[str, Any]) -> list[str]:
     low, high = ride["survival_interval"]
     up = f"{ride['survival']:.1%} [{low:.1%}, {high:.1%}]"
     return [name, str(ride["n"]), up, _number(ride["falls_per_minute"]), *errors]
-
-
-def _label(component: Mapping[str, Any]) -> str:
-    unit = component["unit"]
-    return component["label"] if unit in (None, "1") else f"{component['label']}, {unit}"
 
 
 def _with_interval(figure: Mapping[str, Any]) -> str:

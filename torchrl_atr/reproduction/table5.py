@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from torchrl_atr._errors import InputError
-from torchrl_atr._text import markdown_table
+from torchrl_atr._text import markdown_table, with_unit
 from torchrl_atr.evaluation import EstimationErrors
 from torchrl_atr.evaluation.intervals import bootstrap
 from torchrl_atr.reproduction.paper import LATENT_ERROR, PAIRS, STATE_ERRORS
@@ -108,7 +108,7 @@ def _table(columns: Mapping[str, Mapping[str, dict[str, Any]]]) -> str:
     rows = []
     for name in names:
         one = next(column[name] for column in columns.values() if name in column)
-        label = one["label"] if one["unit"] in (None, "1") else f"{one['label']}, {one['unit']}"
+        label = with_unit(one["label"], one["unit"])
         printed = "{:.4f} ± {:.4f}".format(*paper[name]) if name in paper else ""
         rows.append([label, printed, *(_cell(column.get(name)) for column in columns.values())])
     return markdown_table(["component", "paper", *columns], rows)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from torchrl_atr.evaluation.access import Component
+from torchrl_atr._text import with_unit
 from torchrl_atr.viewer.loop import Loop
 from torchrl_atr.viewer.session import Session
 
@@ -109,7 +109,7 @@ class Panels:
         self._rewards.content = reward_bars(record.mean_rewards(_RECENT))
         index = self._component.options.index(self._component.value)
         component = session.components[index]
-        self._estimate.title = _with_unit(component)
+        self._estimate.title = with_unit(component.label, component.unit)
         self._estimate.draw(time, record["truth"][:, index], record["estimate"][:, index])
         self._estimates.content = estimates_table(session)
         self._power.draw(time, record["joint_power"], record["drive_power"])
@@ -162,12 +162,8 @@ def estimates_table(session: Session) -> str:
     assert session.reading is not None
     rows = [("", "truth", "estimate")]
     for component, truth, estimate in zip(session.components, session.reading.truth, session.reading.estimate):
-        rows.append((_with_unit(component), f"{truth:+.2f}", _number(estimate, "+.2f")))
+        rows.append((with_unit(component.label, component.unit), f"{truth:+.2f}", _number(estimate, "+.2f")))
     return _table(rows)
-
-
-def _with_unit(component: Component) -> str:
-    return component.label if component.unit in (None, "1") else f"{component.label}, {component.unit}"
 
 
 def _number(value: float, form: str = ".3f") -> str:
