@@ -7,7 +7,6 @@ robots that are done.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -21,7 +20,8 @@ from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
 from benchmarks import results
-from torchrl_atr._files import say, write_json
+from torchrl_atr._files import say
+from torchrl_atr.deploy.card import read_report
 from torchrl_atr.deploy.manifest import is_bundle
 from torchrl_atr.envs import ROBOTS
 from torchrl_atr.envs.models import get_robot
@@ -45,18 +45,18 @@ PUBLISHED = (
     "Published costs of transport: ANYmal 0.42 (0.45 m/s on moss) to 1.2 (vegetation), of positive mechanical power; "
     "MIT Cheetah 0.5 and Raibo2 0.25, of all power."
 )
-EVALUATION = "evaluation.json"
-"""Name of the file in the run's folder."""
+SCORECARD = "scorecard"
+"""Name of the file in the run's folder: the card of a bundle has its figures."""
 
 
 def evaluate(run: Path) -> dict[str, Any]:
-    """Evaluate a run: figures of the deployed policy over commands and of its gait, and the run's provenance."""
+    """Evaluate a run: figures of the deployed policy over commands, by range of intrinsics, and of its gait."""
     config, env, networks, state = load_run(run, num_envs=1)
     env.close()
     policy = networks.deployed_policy()
     tracking = {randomization: _tracking(policy, config, randomization) for randomization in ("train", "test")}
     gait = [measure_gait(policy, config, speed) for speed in _speeds(config)[1:]]
-    return {"tracking": tracking, "gait": gait, "run": state["provenance"]}
+    return {"evaluations": tracking, "gait": gait, "run": state["provenance"]}
 
 
 def _speeds(config: TrainConfig) -> tuple[float, ...]:
@@ -163,7 +163,7 @@ def page(report: Mapping[str, Any]) -> str:
     ]
     for robot, found in report["robots"].items():
         origin = found["run"]
-        for name, row in found["tracking"].items():
+        for name, row in found["evaluations"].items():
             errors = " | ".join(
                 f"{row[f'settled_{kind}_error']:.3f} ({row[f'worst_settled_{kind}_error']:.3f})"
                 for kind in ("speed", "yaw")
@@ -207,17 +207,18 @@ def _all(arguments: argparse.Namespace) -> None:
     configs = {robot: _config(robot, arguments) for robot in arguments.robots}
     for robot, config in configs.items():
         results.refuse_other_settings(config, arguments.runs / robot, ("compute", "max_minutes"))
+    command = f"python -m benchmarks.walking --frames {arguments.frames} --seed {arguments.seed}"
     for robot, config in configs.items():
         run, bundle = arguments.runs / robot, arguments.policies / f"{robot}-walking"
-        if not (run / EVALUATION).is_file():
+        if read_report(run / f"{SCORECARD}.json") is None:
             results.train(config, run)
-            write_json(run / EVALUATION, evaluate(run))
+            found = evaluate(run)
+            results.write(run, SCORECARD, found, page({"command": command, "robots": {robot: found}}))
         if not is_bundle(bundle):
             results.call("export", run, "--output", bundle)
-        done = {name: file for name in ROBOTS.names() if (file := arguments.runs / name / EVALUATION).is_file()}
-        command = f"python -m benchmarks.walking --frames {arguments.frames} --seed {arguments.seed}"
-        found = {name: json.loads(file.read_text(encoding="utf-8")) for name, file in done.items()}
-        report = {"command": command, "robots": found, "versions": machine()["versions"]}
+        cards = {name: read_report(arguments.runs / name / f"{SCORECARD}.json") for name in ROBOTS.names()}
+        done = {name: card for name, card in cards.items() if card is not None}
+        report = {"command": command, "robots": done, "versions": machine()["versions"]}
         results.write(arguments.output, "walking", report, page(report))
     say(page(report))
 

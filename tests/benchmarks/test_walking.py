@@ -37,9 +37,12 @@ def test_it_trains_measures_and_goes_on_where_it_was(tmp_path, monkeypatch):
     assert walking.main(["--robots", "a1", "--frames", "32", *folders]) == 0
     report = json.loads((tmp_path / "output" / "walking.json").read_text())["robots"]
     assert report["a1"]["run"]["frames"] == 32
-    assert {row["n"] for row in report["a1"]["tracking"].values()} == {2 * len(walking.YAW_RATES)}
+    assert {row["n"] for row in report["a1"]["evaluations"].values()} == {2 * len(walking.YAW_RATES)}
     assert [row["command"] for row in report["a1"]["gait"]] == [1.5]
-    assert read_manifest(tmp_path / "policies" / "a1-walking")["training"]["frames"] == 32
+    bundle = read_manifest(tmp_path / "policies" / "a1-walking")
+    assert bundle["training"]["frames"] == 32
+    assert bundle["figures"]["train"]["n"] == 10
+    assert "| a1 | 0 | 32 | train range | 10 |" in (tmp_path / "policies" / "a1-walking" / "README.md").read_text()
     (tmp_path / "runs" / "a1" / "checkpoint.pt").unlink()  # not read again
     assert walking.main(["--robots", "spot", "--frames", "32", *folders]) == 0
     page = (tmp_path / "output" / "README.md").read_text()
