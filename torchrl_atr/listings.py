@@ -103,7 +103,8 @@ def policies() -> Iterator[str]:
         manifest = read_manifest(name)
         limits, figures = manifest["command"]["limits"], manifest["figures"] or {}
         up = [_share(figures.get(evaluation)) for evaluation in ("tracking", "endurance")]
-        commands = f"±{limits['max_speed']:g} m/s, ±{limits['max_yaw_rate']:g} rad/s"
+        sign = "up to " if limits.get("forward_only") else "±"
+        commands = f"{sign}{limits['max_speed']:g} m/s, ±{limits['max_yaw_rate']:g} rad/s"
         what = [manifest["robot"]["name"], ground_of(manifest), commands]
         rows.append([name, *what, *up, f"{manifest['training']['minutes']:.0f}"])
     yield from _table(rows)

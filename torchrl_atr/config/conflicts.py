@@ -58,10 +58,11 @@ def _orders(config: TrainConfig) -> Iterator[str]:
 def _widths(config: TrainConfig) -> Iterator[str]:
     for path in ("ppo.actor_cells", "ppo.critic_cells", "roa.encoder_cells", "roa.latent_features"):
         cells = operator.attrgetter(path)(config)
+        shown = list(cells) if isinstance(cells, tuple) else cells  # as files hold them
         if not cells:
             yield f"{path}=() must be widths of 1 or more, such as 256,128,64"
         if config.ppo.symmetric and any(width % 2 for width in (cells if isinstance(cells, tuple) else (cells,))):
-            yield f"{path}={cells} must be even, half for each side; or ppo.symmetric=false"
+            yield f"{path}={shown} must be even, half for each side; or ppo.symmetric=false"
 
 
 def _estimates(config: TrainConfig) -> Iterator[str]:

@@ -18,7 +18,7 @@ def flag_key(transform: Transform, name: str) -> NestedKey:
         >>> from torchrl.envs import TransformedEnv
         >>> from torchrl.testing.mocking_classes import NestedCountingEnv
         >>> env = TransformedEnv(NestedCountingEnv(nest_done=True, nested_dim=1), Transform())
-        >>> flag_key(env.transform[0], "_reset")
+        >>> flag_key(env.transform, "_reset")
         ('data', '_reset')
     """
     parent = transform.parent
