@@ -64,7 +64,9 @@ def navigate(arguments: argparse.Namespace) -> None:
     config, env, networks, state = load_run(arguments.run, None, (), num_envs=1, **chosen)
     limits, footprint = commanded_range(config, networks), footprint_of(env)
     response = RESPONSES.get(config.task.name, 0.0) if arguments.response is None else arguments.response
-    most = arguments.max_yaw_rate or min(1.0, math.inf if limits is None else limits.max_yaw_rate)
+    most = arguments.max_yaw_rate or min(
+        PursuitConfig.max_yaw_rate, math.inf if limits is None else limits.max_yaw_rate
+    )
     pursuit = PursuitConfig(arguments.speed, most, response=response)
     check_commands(env, pursuit, limits)  # before paths are planned
     env.close()

@@ -57,12 +57,12 @@ def _orders(config: TrainConfig) -> Iterator[str]:
 
 def _widths(config: TrainConfig) -> Iterator[str]:
     for path in ("ppo.actor_cells", "ppo.critic_cells", "roa.encoder_cells", "roa.latent_features"):
-        cells = operator.attrgetter(path)(config)
-        shown = list(cells) if isinstance(cells, tuple) else cells  # as files hold them
+        value = operator.attrgetter(path)(config)
+        cells = list(value) if isinstance(value, tuple) else value  # as files hold them
         if not cells:
             yield f"{path}=() must be widths of 1 or more, such as 256,128,64"
-        if config.ppo.symmetric and any(width % 2 for width in (cells if isinstance(cells, tuple) else (cells,))):
-            yield f"{path}={shown} must be even, half for each side; or ppo.symmetric=false"
+        if config.ppo.symmetric and any(width % 2 for width in (cells if isinstance(cells, list) else [cells])):
+            yield f"{path}={cells} must be even, half for each side; or ppo.symmetric=false"
 
 
 def _estimates(config: TrainConfig) -> Iterator[str]:
@@ -86,7 +86,7 @@ def _pairs(config: TrainConfig) -> Iterator[str]:
 def _workers(config: TrainConfig) -> Iterator[str]:
     num_envs, workers = config.env.num_envs, config.compute.workers
     if config.compute.collector != "direct" and num_envs % workers:
-        yield (f"env.num_envs={num_envs} cannot be shared evenly by compute.workers={workers}; choose a multiple of it")
+        yield f"env.num_envs={num_envs} cannot be shared evenly by compute.workers={workers}; choose a multiple of it"
 
 
 def _foot_steps(config: TrainConfig, task: Task) -> Iterator[str]:

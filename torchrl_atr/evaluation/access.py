@@ -57,7 +57,7 @@ def command_owner(env: EnvBase) -> Any:
     Raises:
         TypeError: if no transform of ``env`` has a method ``pin``.
     """
-    for transform in _transforms(env):
+    for transform in transforms_of(env):
         if callable(getattr(transform, "pin", None)):
             return transform
     raise TypeError(
@@ -82,7 +82,14 @@ def command_limits(env: EnvBase, largest: tuple[float, float] = (2.0, 1.0)) -> t
     return 0.0 - high * (backwards, 1.0), high
 
 
-def _transforms(env: EnvBase) -> Iterator[Transform]:
+def transforms_of(env: EnvBase) -> Iterator[Transform]:
+    """Yield the transforms around an env, those of the outermost stack first; none of an env without any.
+
+    Example:
+        >>> from torchrl_atr.envs import make_riding_env
+        >>> [type(part).__name__ for part in transforms_of(make_riding_env(num_envs=1))][:3]
+        ['CommandCurriculum', 'CatTensors', 'ObservationHistory']
+    """
     while isinstance(env, TransformedEnv):
         yield from env.transform if isinstance(env.transform, Compose) else [env.transform]
         env = env.base_env

@@ -91,16 +91,16 @@ def figure7(
     sizes = QUICK if job.quick else Sizes()
     count = seeds or sizes.seeds
     _check_settings(settings or {})
-    full, *others = (_config(name, job.seed, sizes, frames, settings or {}, job.imports) for name in (FULL, *names))
-    same = [name for name, config in zip(names, others) if name != FULL and config == full]
+    configs = {
+        (name, seed): _config(name, seed, sizes, frames, settings or {}, job.imports)
+        for name in dict.fromkeys((FULL, *names))
+        for seed in range(job.seed, job.seed + count)
+    }
+    same = [name for name in names if name != FULL and configs[name, job.seed] == configs[FULL, job.seed]]
     names = [name for name in names if name not in same]
     if not names:
         raise InputError(f"{', '.join(same)}: these settings are those of {FULL!r} already; choose other variants")
-    configs = {
-        (name, seed): _config(name, seed, sizes, frames, settings or {}, job.imports)
-        for name in names
-        for seed in range(job.seed, job.seed + count)
-    }
+    configs = {(name, seed): config for (name, seed), config in configs.items() if name in names}
     results: dict[str, list[TrackingResult]] = {name: [] for name in names}
     for number, ((name, seed), config) in enumerate(configs.items(), 1):
         say(f"{name}, seed {seed}: training {number} of {len(configs)}")

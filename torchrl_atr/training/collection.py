@@ -15,7 +15,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector
-from torchrl.envs import Compose, EnvBase, TransformedEnv
+from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
 from torchrl_atr._cpus import available_cpus
@@ -24,6 +24,7 @@ from torchrl_atr._torchrl_private import carried_root
 from torchrl_atr.config import TrainConfig
 from torchrl_atr.envs import reconfigure
 from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter
+from torchrl_atr.evaluation.access import transforms_of
 from torchrl_atr.modules import DeviceBridge, with_state
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
@@ -276,7 +277,7 @@ def _worker_env(
     torch.manual_seed(seed)
     env = make_env(seed=seed, **share)
     env = env if isinstance(env, TransformedEnv) else TransformedEnv(env)
-    for part in env.transform if isinstance(env.transform, Compose) else [env.transform]:
+    for part in transforms_of(env):
         if isinstance(part, RandomizedStepCounter) and part.growth is not None:
             begin, end = part.growth.begin - steps, part.growth.end - steps
             part.growth = part.growth._replace(begin=begin, end=end)
