@@ -8,9 +8,9 @@ from typing import Any
 
 def checkpoint_file(arguments: argparse.Namespace) -> str | None:
     """Return the file of the chosen checkpoint; None for the last one."""
-    from torchrl_atr.runs.checkpoint import BEST
+    from torchrl_atr.runs.checkpoint import CHOICES
 
-    return BEST if arguments.checkpoint == "best" else None
+    return CHOICES[arguments.checkpoint]
 
 
 def other_model(arguments: argparse.Namespace) -> dict[str, Any]:

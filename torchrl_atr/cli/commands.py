@@ -17,11 +17,12 @@ from torchrl_atr._registry import import_modules
 from torchrl_atr.cli.bundles import export, verify
 from torchrl_atr.cli.chosen import checkpoint_file, other_model
 from torchrl_atr.cli.compare import compare
+from torchrl_atr.cli.measured import Measured
 from torchrl_atr.cli.navigate import navigate
 from torchrl_atr.cli.play import play
 from torchrl_atr.cli.plot import plot
 from torchrl_atr.cli.printing import replay_head, replay_line, step_progress
-from torchrl_atr.cli.protocols import PROTOCOLS, Measured, fill_options
+from torchrl_atr.cli.protocols import PROTOCOLS, fill_options
 from torchrl_atr.cli.reproduce import reproduce
 from torchrl_atr.cli.summary import next_commands, run_figures
 from torchrl_atr.cli.view import demo, view

@@ -1,4 +1,4 @@
-"""Types of the options of ``torchrl-atr``: functions that read a word, and say what does not fit."""
+"""Names and types of the options of ``torchrl-atr``: functions that read a word, and say what does not fit."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from torchrl_atr.deploy.manifest import find_policy
+
+
+def option_name(name: str) -> str:
+    """Return the name of an option of ``evaluate`` on the command line."""
+    return {"pushes": "--no-pushes"}.get(name, f"--{name.replace('_', '-')}")
 
 
 def file_path(text: str) -> Path:

@@ -27,11 +27,6 @@ _PROTOCOL_HELP = (
 )
 
 
-def option(name: str) -> str:
-    """Return the name of an option of ``evaluate`` on the command line."""
-    return {"pushes": "--no-pushes"}.get(name, f"--{name.replace('_', '-')}")
-
-
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line, every command with its help."""
     parser = argparse.ArgumentParser(

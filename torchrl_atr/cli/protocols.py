@@ -5,37 +5,19 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from torchrl_atr.cli.measured import Measured
+from torchrl_atr.cli.option_types import option_name
 from torchrl_atr.cli.printing import endurance_lines, estimator_lines, headlines
 from torchrl_atr.cli.sweeps import SHORT_RIDE, compatibility, robustness
 
 if TYPE_CHECKING:
     from torchrl_atr.envs.transforms import CommandGrid
-    from torchrl_atr.evaluation import EnduranceResult, TrackingResult
     from torchrl_atr.modules import ROANetworks
     from torchrl_atr.training import TrainConfig
 
 Progress = Callable[[int, int], None]
-
-
-class Measured(NamedTuple):
-    """Outcome of a protocol.
-
-    Attributes:
-        result: of the evaluation.
-        metrics: of it.
-        write: writes the report into a folder.
-        lines: to print.
-        finish: called when the report is in its place.
-    """
-
-    result: TrackingResult | EnduranceResult | dict[str, Any]
-    metrics: dict[str, Any]
-    write: Callable[[Path], Any]
-    lines: list[str]
-    finish: Callable[[], None] = lambda: None
 
 
 class Protocol(NamedTuple):
@@ -56,7 +38,6 @@ def fill_options(arguments: argparse.Namespace) -> None:
     Raises:
         ConfigError: names the options that the protocol does not have.
     """
-    from torchrl_atr.cli.parser import option
     from torchrl_atr.training import ConfigError
 
     if arguments.command_range == "record" and PROTOCOLS[arguments.protocol].measure is not tracking:
@@ -67,7 +48,9 @@ def fill_options(arguments: argparse.Namespace) -> None:
                 raise ConfigError(f"--{name}: --protocol compatibility takes pairs; give --on ROBOT/TRANSPORTER")
     own = PROTOCOLS[arguments.protocol].options
     for protocol, other in PROTOCOLS.items():
-        given = [option(name) for name in other.options if name not in own and getattr(arguments, name) is not None]
+        given = [
+            option_name(name) for name in other.options if name not in own and getattr(arguments, name) is not None
+        ]
         if given:
             raise ConfigError(f"{', '.join(given)}: only of --protocol {protocol}; leave it out, or take that protocol")
     for name, value in own.items():
@@ -77,7 +60,6 @@ def fill_options(arguments: argparse.Namespace) -> None:
 
 
 def _check_conditions(arguments: argparse.Namespace) -> None:
-    from torchrl_atr.cli.parser import option
     from torchrl_atr.training import ConfigError
 
     if arguments.command_range == "record":
@@ -86,7 +68,7 @@ def _check_conditions(arguments: argparse.Namespace) -> None:
             if (chosen := getattr(arguments, name)) != value:
                 raise ConfigError(
                     "--command-range record: the range is that of the deployed policy in training conditions; leave "
-                    f"out {option(name)} {chosen}"
+                    f"out {option_name(name)} {chosen}"
                 )
     if arguments.protocol == "robustness" and arguments.randomization != "train":
         raise ConfigError(

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchrl_atr._files import write_json
+from torchrl_atr.cli.measured import Measured
 from torchrl_atr.cli.printing import compatibility_lines, robustness_lines
 
 if TYPE_CHECKING:
-    from torchrl_atr.cli.protocols import Measured
     from torchrl_atr.modules import ROANetworks
     from torchrl_atr.training import TrainConfig
 
@@ -40,7 +40,6 @@ def robustness(
     progress: Callable[[int, int], None],
 ) -> Measured:
     """Measure where a policy breaks: one parameter at a time, and all together, from training to beyond test range."""
-    from torchrl_atr.cli.protocols import Measured
     from torchrl_atr.evaluation.endurance import overspeed_of
     from torchrl_atr.evaluation.robustness import evaluate_robustness
 
@@ -73,7 +72,6 @@ def compatibility(
     progress: Callable[[int, int], None],
 ) -> Measured:
     """Measure a policy on other robots and transporters, those of its own size class unless others are given."""
-    from torchrl_atr.cli.protocols import Measured
     from torchrl_atr.evaluation.compatibility import evaluate_compatibility
     from torchrl_atr.evaluation.endurance import overspeed_of
 

@@ -34,6 +34,9 @@ VERSION = 4
 """Version of the contents and names of a checkpoint; a change of them adds a step to ``scripts/convert_run.py``."""
 NAME, PREVIOUS, BEST = "checkpoint.pt", "previous.pt", "best.pt"
 """The last checkpoint of a run, the one before, and the one with the largest episode reward."""
+LAST = "last"
+CHOICES: Mapping[str, str | None] = {LAST: None, "best": BEST}
+"""Files of the checkpoints to choose from, by the names that a user gives; None for the last, or the one before it."""
 _LOG = logging.getLogger(__name__)
 
 

@@ -27,6 +27,7 @@ from torchrl_atr.evaluation.access import (
 )
 from torchrl_atr.modules import NetworkKeys
 from torchrl_atr.modules.estimators import with_state
+from torchrl_atr.runs.checkpoint import CHOICES, LAST
 from torchrl_atr.runs.restoring import deployed_weights, load_networks
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_checkpoint, load_run
 from torchrl_atr.viewer.area import CommandArea, mastered_area
@@ -34,7 +35,7 @@ from torchrl_atr.viewer.parameters import Parameters
 from torchrl_atr.viewer.poses import PoseReader
 from torchrl_atr.viewer.readings import Reading, Record
 from torchrl_atr.viewer.sensing import Sensing
-from torchrl_atr.viewer.sources import LAST, checkpoint_file, stamp
+from torchrl_atr.viewer.sources import stamp
 
 Source = Literal["estimated", "privileged"]
 RECORD_SECONDS = 10.0
@@ -149,7 +150,7 @@ class Session:
         if setup.sensors is not None:
             overrides["sensors"] = setup.sensors
         written = stamp(setup.policy, setup.checkpoint)
-        checkpoint = checkpoint_file(setup.checkpoint)
+        checkpoint = CHOICES[setup.checkpoint]
         config, env, networks, state = load_run(setup.policy, checkpoint, setup.imports, **overrides)
         policy = networks.deployed_policy(setup.source)  # a teacher has none that acts on estimates
         self.setup, self.config, self.networks, self._stamp = setup, config, networks, written
@@ -282,7 +283,7 @@ class Session:
         if written is None or written == self._stamp:
             return False
         self._stamp = written
-        file = checkpoint_file(setup.checkpoint)
+        file = CHOICES[setup.checkpoint]
         state = load_checkpoint(setup.policy if file is None else setup.policy / file)
         load_networks(self.networks, deployed_weights(state["learner"]), setup.policy)
         self.frames = int(state.get("frames", 0))

@@ -6,12 +6,10 @@ from pathlib import Path
 
 from torchrl_atr._errors import UserError
 from torchrl_atr.deploy.manifest import is_bundle, policies
-from torchrl_atr.runs.checkpoint import BEST, NAME
+from torchrl_atr.runs.checkpoint import CHOICES, LAST, NAME
 
 RUNS = Path("runs")
 """Folder whose runs are listed, where ``torchrl-atr train`` puts them by default."""
-LAST = "last"
-_CHECKPOINTS = {LAST: None, "best": BEST}
 
 
 def ridable(given: Path | None = None, runs: Path = RUNS) -> dict[str, Path]:
@@ -57,18 +55,13 @@ def default_policy(runs: Path = RUNS) -> Path:
 
 def checkpoints_of(folder: Path) -> list[str]:
     """Return the names of a policy's checkpoints: ``last``, and ``best`` where the run has one."""
-    return [name for name, file in _CHECKPOINTS.items() if file is None or _has(folder, file)]
-
-
-def checkpoint_file(name: str) -> str | None:
-    """Return the file of a checkpoint of :func:`checkpoints_of` in its run; None for the last one."""
-    return _CHECKPOINTS[name]
+    return [name for name, file in CHOICES.items() if file is None or _has(folder, file)]
 
 
 def stamp(folder: Path, checkpoint: str = LAST) -> tuple[int, int] | None:
     """Return what changes when a run writes a new checkpoint: time (ns) and size; None for a bundle, or no file."""
     try:
-        status = (folder / (_CHECKPOINTS[checkpoint] or NAME)).stat()
+        status = (folder / (CHOICES[checkpoint] or NAME)).stat()
     except OSError:
         return None
     return status.st_mtime_ns, status.st_size
