@@ -14,10 +14,10 @@ from torchrl_atr.envs.models import Support, get_robot
 from torchrl_atr.envs.models.support import touch
 from torchrl_atr.envs.physics import SubstepHook
 from torchrl_atr.envs.tasks import TASKS, CommandSpace, ObservationTerm, RewardTerm, Task
+from torchrl_atr.envs.tasks.common_rewards import tracking_kernel
 from torchrl_atr.envs.tasks.events import tilted, too_low
 from torchrl_atr.envs.tasks.parameters import robot_parameters
 from torchrl_atr.envs.tasks.proprioception import BODY, PROPRIO
-from torchrl_atr.envs.tasks.tracking import tracking_kernel
 from torchrl_atr.envs.transforms import CommandGrid
 from torchrl_atr.training import TASK_SETTINGS
 

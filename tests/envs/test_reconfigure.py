@@ -9,8 +9,9 @@ import torch
 from torchrl.collectors import Collector
 from torchrl.envs import SerialEnv
 
+from torchrl_atr._errors import InputError
 from torchrl_atr.envs import make_env, make_riding_env, reconfigure, walking
-from torchrl_atr.envs.tasks.events import Pushes
+from torchrl_atr.envs.tasks.events import Disturbance, Pushes
 
 ROBOTS = 6
 
@@ -110,7 +111,7 @@ def test_pushes_change_with_the_next_episode(env):
         pushed.append((pushes.robot, rows.tolist()))
 
     task = env.base_env.task
-    disturbance = type(task.disturbances["push"])(partial(note, pushes=Pushes(interval=0.04)), 0.04)
+    disturbance = type(task.disturbances["push"])(partial(note, pushes=Pushes(interval=0.04)), 0.04, is_push=True)
     env = make_env(task.replace(disturbances={"push": disturbance}), ROBOTS, num_threads=1, seed=0)
     env.reset()
     env.reconfigure(pushes=Pushes(interval=0.02, robot=2.0))
@@ -166,6 +167,14 @@ def test_what_does_not_fit_is_named_and_changes_nothing(env, changes, message):
         env.reconfigure(**{"randomization": "off", "command_bounds": (1.0, 1.0)} | changes)
     torch.testing.assert_close(env.runner.ends, ends)
     assert env.curriculum.limits.part.bounds == env.curriculum.grid.bounds
+
+
+def test_a_disturbance_that_is_not_marked_as_a_push_is_named():
+    """Else robots would be pushed on by a task's own function after pushes=False."""
+    shove = Disturbance(lambda engine, rows, generator: None, 1.0)
+    env = make_env(walking().replace(disturbances={"shove": shove}), num_envs=2, num_threads=1)
+    with pytest.raises(InputError, match="none of the disturbances of task 'walking' is a push: shove; give the one"):
+        env.reconfigure(pushes=False)
 
 
 def test_pushes_that_were_never_made_cannot_be_changed():

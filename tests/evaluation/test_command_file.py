@@ -82,4 +82,4 @@ def test_commands_beyond_a_range_are_named():
     with pytest.raises(InputError, match=r"at 3 s, 2 m/s and 1 rad/s.*up to 1.5 m/s²; choose a smaller one"):
         check_commands(ride, limits)
     with pytest.raises(InputError, match=r"at 0 s, -1 m/s.*speed in \[0, 2\]"):
-        check_commands([(0.0, -1.0, 0.0)], CommandRange(2.0, 1.0), forward_only=True)
+        check_commands([(0.0, -1.0, 0.0)], CommandRange(2.0, 1.0, forward_only=True))

@@ -38,3 +38,9 @@ def test_a_few_commands_in_it_may_fail(evaluate):
     assert mastered_range(result, share=0.95) == CommandRange(4.0, 1.0, 4.0)
     # commands of one product go together: without those of 0.25 m/s², straight lines and turns on the spot are left
     assert mastered_range(result, share=1.0) == CommandRange(4.0, 1.0, 0.0)
+
+
+def test_a_range_of_forward_commands_alone_passes_none_backwards(evaluate):
+    mastered = mastered_range(evaluate(lambda command: command, (np.arange(0.0, 3.0), COMMANDS[1])))
+    assert mastered == CommandRange(2.0, 1.0, 2.0, forward_only=True)
+    assert mastered(torch.tensor([-1.0, 0.0])).tolist() == [0.0, 0.0]

@@ -11,7 +11,7 @@ from torchrl_atr.envs.transforms import task_transforms
 from torchrl_atr.evaluation import DEFAULT_RIDE, play_viewer, record_video, rendering
 from torchrl_atr.evaluation.access import command_limits
 from torchrl_atr.evaluation.rendering import OffscreenRenderer, SceneView
-from torchrl_atr.evaluation.video import command_at, ride, within
+from torchrl_atr.evaluation.video import command_at, ride_with_resets, within
 from torchrl_atr.evaluation.viewer import Keyboard
 
 
@@ -55,7 +55,7 @@ def test_a_ride_follows_the_sequence_and_unpins(env, stand):
     """At 50 Hz the command of 0.04 s is in force from the third step on."""
     commands = [(0.0, 0.25, 0.0), (0.04, 0.5, 0.25)]
     seen = []
-    for command, fell in ride(stand, env, commands, 4):
+    for command, fell in ride_with_resets(stand, env, commands, 4):
         seen.append((command, fell))
     assert seen == [((0.25, 0.0), False)] * 2 + [((0.5, 0.25), False)] * 2
     assert env.transform[0].command.tolist() == [[0.5, 0.25]] * 2
@@ -71,7 +71,7 @@ def test_the_policy_sees_the_command_of_its_step(env):
         return command.new_zeros(len(command), joints)
 
     policy = TensorDictModule(watch, in_keys=["command"], out_keys=["action"])
-    told = [command for command, _ in ride(policy, env, [(0.0, 0.25, 0.0), (0.04, 0.5, 0.25)], 4)]
+    told = [command for command, _ in ride_with_resets(policy, env, [(0.0, 0.25, 0.0), (0.04, 0.5, 0.25)], 4)]
     assert seen == [list(command) for command in told]
 
 
@@ -236,7 +236,7 @@ def test_a_fall_restarts_the_shown_robot(env):
         in_keys=["observation"],
         out_keys=["action"],
     )
-    rider = ride(policy, env, [(0.0, 0.0, 0.0)], 200)
+    rider = ride_with_resets(policy, env, [(0.0, 0.0, 0.0)], 200)
     assert any(fell for _, fell in rider)
     rider.close()
     assert (env.base_env.engine.hook.speeds[0] == 0).all()  # as only a reset leaves it

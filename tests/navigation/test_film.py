@@ -10,7 +10,7 @@ import shapely
 from PIL import Image
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.evaluation.energy import Energy
+from torchrl_atr.evaluation.energy import CostOfTransport
 from torchrl_atr.navigation import Map, Path, TripsResult
 from torchrl_atr.navigation import film as module
 from torchrl_atr.navigation.film import best_trip, film_trip
@@ -26,7 +26,7 @@ def straight_trip(steps=500, speed=2.0):
     trace = np.stack([speed * seconds, zero, zero, seconds, zero + 10.0, 5.0 * (seconds - 0.1)], -1)
     trace[0, 4:] = 0.0
     one = np.ones(1)
-    return TripsResult(np.array(["goal"]), *[one] * 7, Energy(one, one, one), [trace])
+    return TripsResult(np.array(["goal"]), *[one] * 7, CostOfTransport(one, one, one), [trace])
 
 
 def test_frames_hold_means_since_the_frame_before():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.evaluation.energy import Energy
+from torchrl_atr.evaluation.energy import CostOfTransport
 from torchrl_atr.navigation import Path, TripsResult
 from torchrl_atr.navigation.report import load_trips, save_trips
 from torchrl_atr.reproduction import figure5 as module
@@ -27,7 +27,10 @@ def trips(outcome, cost):
     ones = np.ones(n)
     traces = [np.zeros((2, 6))] * n
     return TripsResult(
-        np.array(outcome), *[ones] * 7, Energy(np.array(cost) / 12, np.array(cost), 2.0 * np.array(cost)), traces
+        np.array(outcome),
+        *[ones] * 7,
+        CostOfTransport(np.array(cost) / 12, np.array(cost), 2.0 * np.array(cost)),
+        traces,
     )
 
 

@@ -62,12 +62,12 @@ def test_batches_are_of_the_policy_as_it_is_and_curricula_merge(collector):
             collection.curriculum.weights[cell] = 0.75
             collection.exchange()
             assert collection.curriculum.weights[cell] == 0.75
-            if collection.callable:
+            if collection.can_call_workers:
                 for weights in collection.collector.get_distant_attr("env.curriculum.weights"):
                     torch.testing.assert_close(weights, collection.curriculum.weights)
         intrinsics = batch["privileged", "intrinsic"][:, 0]
         assert len(torch.unique(intrinsics, dim=0)) == 8
-        assert collection.num_diverged == (0 if collection.callable or not collection.remote else None)
+        assert collection.num_diverged == (0 if collection.can_call_workers or not collection.remote else None)
         envs_change_while_they_run(collection)
     finally:
         collection.shutdown()
@@ -78,7 +78,7 @@ def envs_change_while_they_run(collection):
 
     Part of the test above, as workers take seconds to start.
     """
-    if collection.remote and not collection.callable:
+    if collection.remote and not collection.can_call_workers:
         with pytest.raises(InputError, match="collector='distributed' cannot call its workers; use process or ray"):
             collection.reconfigure(randomization="off")
         return

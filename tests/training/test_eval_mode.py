@@ -8,7 +8,7 @@ from torch import nn
 
 from torchrl_atr.envs import make_riding_env
 from torchrl_atr.evaluation import evaluate_tracking
-from torchrl_atr.evaluation.video import ride
+from torchrl_atr.evaluation.video import ride_with_resets
 from torchrl_atr.modules import MLPEstimator
 from torchrl_atr.modules.estimators import _ESTIMATORS
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, Trainer, load_run, make_config
@@ -88,7 +88,7 @@ def test_using_a_policy_leaves_every_module_in_the_mode_that_it_was_in(trainer):
     _, env, loaded, _ = load_run(trainer.run, num_envs=2, **DEPLOYMENT_OVERRIDES)
     trained = trainer.learner.networks
     for networks, expected in ((loaded, {False}), (trained, {True})):
-        list(ride(networks.deployed_policy(), env, [(0.0, 0.0, 0.0)], 2))
+        list(ride_with_resets(networks.deployed_policy(), env, [(0.0, 0.0, 0.0)], 2))
         assert modes(networks) == expected
         evaluate_tracking(
             networks.deployed_policy(),
@@ -106,6 +106,6 @@ def test_a_ride_is_that_of_the_deployed_policy(trainer):
     rides = []
     for networks in (trainer.learner.networks, trainer.learner.networks):
         env = make_riding_env(num_envs=1, num_threads=1, seed=3, observe_tilt=True)
-        list(ride(networks.deployed_policy(), env, [(0.0, 0.5, 0.0)], 10))
+        list(ride_with_resets(networks.deployed_policy(), env, [(0.0, 0.5, 0.0)], 10))
         rides.append(env.base_env.engine.qpos.clone())
     assert (rides[0] == rides[1]).all()

@@ -1,5 +1,7 @@
 """What a batch of a known course comes to."""
 
+import csv
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -41,6 +43,15 @@ def test_falls_are_shown_as_a_moving_mean_and_logged_as_they_are(tmp_path):
     rows = (tmp_path / "progress.csv").read_text(encoding="utf-8").splitlines()
     column = rows[0].split(",").index("falls_per_minute")
     assert [float(row.split(",")[column]) for row in rows[1:]] == [60, 0, 0, 0]
+
+
+def test_a_row_of_the_log_holds_what_its_iteration_measured_alone(tmp_path):
+    progress = Progress(tmp_path, TrainConfig(), logger=_Logger())
+    progress.update({"frames": 1, "minutes": 1.0, "episode_reward": 5.0})
+    progress.update({"frames": 2, "minutes": 2.0})  # no episode ended
+    assert progress._shown["episode_reward"] == 5.0
+    rows = list(csv.DictReader((tmp_path / "progress.csv").open(newline="", encoding="utf-8")))
+    assert [row["episode_reward"] for row in rows] == ["5", ""]
 
 
 class _Logger:

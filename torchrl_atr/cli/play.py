@@ -36,7 +36,7 @@ def play(arguments: argparse.Namespace) -> None:
     config, env, networks, _ = load_run(arguments.run, checkpoint_file(arguments), arguments.imports or (), **chosen)
     limits = commanded_range(config, networks)
     if commands is not None and limits is not None:
-        check_commands(commands, limits, config.grid is not None and config.grid.forward_only)
+        check_commands(commands, limits)
     seconds = arguments.seconds or (None if commands is None else duration(commands))
     policy = networks.deployed_policy()
     if arguments.video is None:

@@ -155,11 +155,11 @@ def estimates(
         part = data[begin : begin + rows]
         robots = torch.arange(len(part)).unsqueeze(1)
         part = part[:, ::every] if window is None else window.take(part, robots, steps)  # a slice copies nothing
-        told = with_first_state(networks, part)
+        estimator_input = with_first_state(networks, part)
         written = part.empty()
         with set_recurrent_mode(True):
             for module in networks.estimator_modules:
-                written.update(module(told.select(*module.in_keys)).exclude(*module.in_keys))
+                written.update(module(estimator_input.select(*module.in_keys)).exclude(*module.in_keys))
         yield part, written
 
 

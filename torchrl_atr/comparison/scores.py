@@ -178,8 +178,8 @@ def microseconds(networks: ROANetworks, step: TensorDictBase, repeats: int = 100
         step: of one robot, (1,).
         repeats: number of measurements.
     """
-    told = with_first_state(networks, step.clone())
-    runs = [(module, told.select(*module.in_keys)) for module in networks.estimator_modules]
+    step_input = with_first_state(networks, step.clone())
+    runs = [(module, step_input.select(*module.in_keys)) for module in networks.estimator_modules]
     taken = []
     with one_torch_thread():
         for _ in range(repeats // 10 + repeats):  # the first ones are slower

@@ -234,7 +234,7 @@ class QuadrupedEnv(Reconfigurable, EnvBase):
 
     def _report_failed(self, outcome: StepOutcome) -> None:
         """End the episodes of robots that failed, count and log them."""
-        for row, reason in self.runner.contain(outcome).items():
+        for row, reason in self.runner.terminate_failed(outcome).items():
             self.runner.num_diverged += 1
             if self.runner.num_diverged <= _LOGGED:
                 hint = "" if self._recorder is None else self._recorder.dump(row, reason)
@@ -282,7 +282,7 @@ class QuadrupedEnv(Reconfigurable, EnvBase):
             row, name = next(iter(bad.items()))
             raise InputError(f"state entry {name!r} is not finite for env id {row}; give a state of get_state()")
         emitted = state.get("emitted", None)
-        previous = self.runner.terms.extractor.state if emitted is None else ()
+        previous = self.runner.terms.extractor.unrecoverable if emitted is None else ()
         self.runner.set_state(dict(state.exclude("emitted", *previous).items()))
         if emitted is None:
             self._emitted = self.runner.observe(self._command(state))

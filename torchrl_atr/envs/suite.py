@@ -137,7 +137,7 @@ class SuiteTask(control.Task):
     def after_step(self, physics: EnginePhysics) -> None:
         """Compute rewards and terminations, once per control step."""
         self._outcome = self.runner.evaluate_step(self._command)
-        self.runner.contain(self._outcome)
+        self.runner.terminate_failed(self._outcome)
 
     def action_spec(self, physics: EnginePhysics) -> specs.BoundedArray:
         """Return bounds of joint displacements in units of the action scale: those of ``QuadrupedEnv``'s spec."""

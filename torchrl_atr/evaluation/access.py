@@ -11,18 +11,11 @@ import torch
 from numpy.typing import NDArray
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
-from torchrl.envs import Compose, EnvBase, TransformedEnv
-from torchrl.envs.transforms import Transform
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_atr.envs import QuadrupedEnv
-
-
-def base_env(env: EnvBase) -> Any:
-    """Return the env below all transforms."""
-    while isinstance(env, TransformedEnv):
-        env = env.base_env
-    return env
+from torchrl_atr.envs.access import base_env, transforms_of
 
 
 @contextmanager
@@ -80,19 +73,6 @@ def command_limits(env: EnvBase, largest: tuple[float, float] = (2.0, 1.0)) -> t
     high = np.array(largest) if grid is None else np.minimum(largest, grid.bounds)
     backwards = 1.0 if grid is None or not grid.forward_only else 0.0
     return 0.0 - high * (backwards, 1.0), high
-
-
-def transforms_of(env: EnvBase) -> Iterator[Transform]:
-    """Yield the transforms around an env, those of the outermost stack first; none of an env without any.
-
-    Example:
-        >>> from torchrl_atr.envs import make_riding_env
-        >>> [type(part).__name__ for part in transforms_of(make_riding_env(num_envs=1))][:3]
-        ['CommandCurriculum', 'CatTensors', 'ObservationHistory']
-    """
-    while isinstance(env, TransformedEnv):
-        yield from env.transform if isinstance(env.transform, Compose) else [env.transform]
-        env = env.base_env
 
 
 def achieved_speeds(env: EnvBase) -> Tensor:

@@ -129,13 +129,12 @@ def _number(value: Any, name: str, place: str) -> float:
     return number
 
 
-def check_commands(commands: Sequence[Command], limits: CommandRange, forward_only: bool = False) -> None:
+def check_commands(commands: Sequence[Command], limits: CommandRange) -> None:
     """Refuse commands beyond a policy's range.
 
     Args:
         commands: of :func:`read_commands`.
         limits: the range.
-        forward_only: whether negative speeds are beyond it, too.
 
     Raises:
         InputError: for the first such command; names it and the range.
@@ -148,11 +147,10 @@ def check_commands(commands: Sequence[Command], limits: CommandRange, forward_on
     """
     asked = torch.tensor([command[1:] for command in commands])
     beyond = ~torch.isclose(limits(asked), asked, rtol=0.0, atol=1e-6).all(-1)
-    beyond |= asked[:, 0] < 0.0 if forward_only else False
     if not beyond.any():
         return
     time, speed, yaw_rate = commands[int(beyond.nonzero()[0])]
-    low = 0.0 if forward_only else -limits.max_speed
+    low = 0.0 if limits.forward_only else -limits.max_speed
     lateral = limits.max_lateral_acceleration
     product = "" if lateral is None else f", |speed times yaw rate| up to {lateral:g} m/s²"
     raise InputError(

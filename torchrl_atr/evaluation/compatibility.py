@@ -12,9 +12,9 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from torchrl_atr._errors import InputError, UserError
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.models import ROBOTS, TRANSPORTER_DESIGNS, TRANSPORTERS, Scene
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.evaluation.access import base_env
 from torchrl_atr.evaluation.endurance import EnduranceResult, evaluate_endurance
 from torchrl_atr.evaluation.endurance_metrics import endurance_metrics
 from torchrl_atr.evaluation.intervals import share_text
@@ -197,10 +197,10 @@ def evaluate_compatibility(
     steps, cells = round(seconds / CONTROL_DT) * -(-robots // MAX_ROBOTS), []
     protocol: dict[str, Any] = {}
     for number, pair in enumerate(chosen):
-        told = shifted(progress, number * steps, len(chosen) * steps)
+        pair_progress = shifted(progress, number * steps, len(chosen) * steps)
         cell: dict[str, Any] = pair._asdict()
         try:
-            result = ride_on(policy, make_env, pair, robots, seconds, progress=told, **ride)
+            result = ride_on(policy, make_env, pair, robots, seconds, progress=pair_progress, **ride)
         except UserError as error:
             if pairs is not None or not isinstance(error, CompatibilityError):
                 raise

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torchrl.envs import EnvBase
 
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.tasks.state import GRAVITY
-from torchrl_atr.evaluation.access import base_env
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ def robot_mass(env: EnvBase) -> Tensor:
     return (masses.sum(-1) - masses[:, torch.as_tensor(boards, dtype=torch.long)].sum(-1)).float()
 
 
-class Energy(NamedTuple):
+class CostOfTransport(NamedTuple):
     """Cost of transport of a trip: power over m g v, with the robot's mass m and its mean speed v.
 
     Attributes:
@@ -71,7 +71,7 @@ class Energy(NamedTuple):
     system: Array
 
 
-def cost_of_transport(joints: Array, drive: Array, mass: Array, speed: Array, count: int) -> Energy:
+def cost_of_transport(joints: Array, drive: Array, mass: Array, speed: Array, count: int) -> CostOfTransport:
     """Compute the cost of transport of n trips.
 
     Args:
@@ -82,9 +82,9 @@ def cost_of_transport(joints: Array, drive: Array, mass: Array, speed: Array, co
         count: number of joints.
 
     Example:
-        >>> energy = cost_of_transport(*np.array([[120.0], [60.0], [10.0], [1.0]]), count=12)
-        >>> [round(float(value[0]), 3) for value in energy]
+        >>> cost = cost_of_transport(*np.array([[120.0], [60.0], [10.0], [1.0]]), count=12)
+        >>> [round(float(value[0]), 3) for value in cost]
         [0.102, 1.223, 1.835]
     """
     weight = mass * GRAVITY * speed
-    return Energy(joints / count / weight, joints / weight, (joints + drive) / weight)
+    return CostOfTransport(joints / count / weight, joints / weight, (joints + drive) / weight)

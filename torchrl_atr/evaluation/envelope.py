@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from torchrl.envs import EnvBase
 
 from torchrl_atr.envs import QuadrupedEnv
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.models.boards import Transporter
 from torchrl_atr.envs.tasks import RewardTerm, Task
-from torchrl_atr.envs.tasks.riding.rewards import position_alignment, steering_command
+from torchrl_atr.envs.tasks.common_rewards import KERNEL_WIDTH, yaw_rate_tracking
+from torchrl_atr.envs.tasks.riding.rewards import position_alignment
 from torchrl_atr.envs.tasks.state import GRAVITY
-from torchrl_atr.envs.tasks.tracking import KERNEL_WIDTH
-from torchrl_atr.evaluation.access import base_env
 
 Array = NDArray[np.float64]
 SETTLED_YAW_ERROR = 0.3
@@ -73,7 +73,7 @@ class Envelope:
             task: its rewards give the weights, robot and transporter h, its parameter ``friction`` the nominal μ.
             height: h, m; from ``standing_height`` and the board's thickness by default.
         """
-        yaw, lean = (_weight(task.rewards, function) for function in (steering_command, position_alignment))
+        yaw, lean = (_weight(task.rewards, function) for function in (yaw_rate_tracking, position_alignment))
         friction = task.intrinsics.get("friction")
         if not isinstance(task.support, Transporter) or friction is None or yaw <= 0 or lean > 0:
             return None

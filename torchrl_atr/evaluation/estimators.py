@@ -22,13 +22,15 @@ Array = NDArray[np.float64]
 class EstimationErrors:
     """First and second moments of the errors of each trial, over the steps that it was up; SI units.
 
+    ``*T`` is the shape of the trials: (V, W, R) in tracking; (S, n), seconds and robots, in endurance.
+
     Attributes:
-        steps: number of those steps, (V, W, R).
+        steps: number of those steps, (*T).
         components: the E extrinsic states.
-        extrinsic: mean |x̂ - x| of each state, (V, W, R, E).
-        extrinsic_squared: mean |x̂ - x|², (V, W, R, E).
-        latent: mean ‖ẑ - z‖, (V, W, R); None without an encoder.
-        latent_squared: mean ‖ẑ - z‖², (V, W, R).
+        extrinsic: mean |x̂ - x| of each state, (*T, E).
+        extrinsic_squared: mean |x̂ - x|², (*T, E).
+        latent: mean ‖ẑ - z‖, (*T); None without an encoder.
+        latent_squared: mean ‖ẑ - z‖², (*T).
     """
 
     steps: Array
@@ -40,7 +42,7 @@ class EstimationErrors:
 
     @staticmethod
     def join(parts: Sequence[EstimationErrors | None], shape: tuple[int, ...]) -> EstimationErrors | None:
-        """Concatenate the parts' trials as ``shape`` (V, W, R); None if any part is None."""
+        """Concatenate the parts' trials as ``shape``, (*T); None if any part is None."""
         known = [part for part in parts if part is not None]
         if not known or len(known) < len(parts):
             return None

@@ -15,7 +15,8 @@ def mastered_range(result: TrackingResult, share: float = 0.95) -> CommandRange 
     """Return the range with the most mastered commands in which at least ``share`` of the commands are mastered.
 
     A command is mastered if most robots stay up and settle within 0.5 m/s and 0.3 rad/s. Bounds are taken among the
-    evaluated speeds, yaw rates and their products, so nothing beyond the evaluated commands is ever in the range.
+    evaluated speeds, yaw rates and their products, so nothing beyond the evaluated commands is ever in the range: no
+    negative speed either, if none was evaluated.
 
     Args:
         result: of :func:`~torchrl_atr.evaluation.evaluate_tracking`, of a policy that is not clipped.
@@ -31,6 +32,7 @@ def mastered_range(result: TrackingResult, share: float = 0.95) -> CommandRange 
     mastered = mastered_commands(result)
     speeds, yaw_rates = np.abs(result.speed_commands)[:, None], np.abs(result.yaw_commands)[None]
     lateral = speeds * yaw_rates
+    forward_only = bool((result.speed_commands >= 0.0).all())
     best, found = 0, None
     for max_speed in np.unique(speeds):
         for max_yaw_rate in np.unique(yaw_rates):
@@ -42,5 +44,5 @@ def mastered_range(result: TrackingResult, share: float = 0.95) -> CommandRange 
             if fits.any() and good[fits].max() > best:
                 best = int(good[fits].max())
                 bound = sorted_lateral[fits & (good == best)][0]
-                found = CommandRange(float(max_speed), float(max_yaw_rate), float(bound))
+                found = CommandRange(float(max_speed), float(max_yaw_rate), float(bound), forward_only=forward_only)
     return found

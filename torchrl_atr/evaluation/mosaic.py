@@ -16,7 +16,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr._files import atomic
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.rendering import OffscreenRenderer
-from torchrl_atr.evaluation.video import Command, check_suffix, ride, video_writer
+from torchrl_atr.evaluation.video import Command, check_suffix, ride_with_resets, video_writer
 
 Riders = Mapping[str, tuple[TensorDictModuleBase, EnvBase]]
 """Policies and their envs, by the name that stands in the picture."""
@@ -69,7 +69,9 @@ def record_mosaic(
         renderers = {name: stack.enter_context(OffscreenRenderer(env, size)) for name, (_, env) in riders.items()}
         file = stack.enter_context(atomic(path))
         writer = stack.enter_context(video_writer(file, Path(path).suffix, 1.0 / period, whole))
-        for step, _ in enumerate(zip(*(ride(*rider, commands, steps) for rider in riders.values())), start=1):
+        for step, _ in enumerate(
+            zip(*(ride_with_resets(*rider, commands, steps) for rider in riders.values())), start=1
+        ):
             if step % every == 0:
                 pictures = [_named(renderer.render(dt=period), name) for name, renderer in renderers.items()]
                 writer.add_image(tiled(pictures, columns))

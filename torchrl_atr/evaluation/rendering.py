@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from torchrl.envs import EnvBase
 
 from torchrl_atr._errors import InputError, UserError
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.models.floor import floor_period, near_origin
-from torchrl_atr.evaluation.access import base_env
 
 CHASE = "chase"
 """Camera that follows the board from behind and turns with a lag, so that turning is visible."""

@@ -62,7 +62,7 @@ def replay_failure(path: str | Path, video: str | Path | None = None) -> Generat
     dump = load_dump(Path(path))
     if video is not None:
         check_suffix(video)
-    env = _scene(dump, Path(path))
+    env = _make_env(dump, Path(path))
     steps = _steps(env, dump)
     if video is None:
         yield from steps
@@ -78,7 +78,7 @@ def replay_failure(path: str | Path, video: str | Path | None = None) -> Generat
             yield step
 
 
-def _scene(dump: dict[str, Any], path: Path) -> QuadrupedEnv:
+def _make_env(dump: dict[str, Any], path: Path) -> QuadrupedEnv:
     scene = dump["scene"]
     try:
         interpretation = Interpretation(**scene["interpretation"])

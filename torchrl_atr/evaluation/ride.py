@@ -144,12 +144,12 @@ def ride_in_chunks(
         env = build_env(make_env, part.shape[1], seed + number)
         watch = make_watch(env, part)
 
-        def told(step: RideStep, watch: Watch = watch, before: int = number * total) -> None:
+        def watch_part(step: RideStep, watch: Watch = watch, before: int = number * total) -> None:
             watch(step)
             if progress is not None:
                 progress(before + step.index + 1, len(parts) * total)
 
-        ride(policy, env, part, total, told, **options)
+        ride(policy, env, part, total, watch_part, **options)
         env.close(raise_if_closed=False)
         watches.append(watch)
     return watches

@@ -9,8 +9,8 @@ from typing import Any
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.evaluation.access import base_env
 from torchrl_atr.evaluation.conditions import BASELINE, REGIONS, Condition, Sweep, describe, sweeps_of
 from torchrl_atr.evaluation.endurance import evaluate_endurance
 from torchrl_atr.evaluation.endurance_metrics import endurance_metrics

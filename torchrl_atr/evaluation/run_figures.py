@@ -33,7 +33,7 @@ LEARNING_CURVES: dict[str, str] = {
     "latent_error": "latent error [norm]",
     "extrinsic_error": "extrinsic error [std]",
     "std": "action noise [action scale]",
-    "kl_approx": "KL divergence per update [nat]",
+    "kl_divergence": "KL divergence per update [nat]",
     "learning_rate": "learning rate [1]",
     "frames_per_second": "robot steps per second [1/s]",
 }

@@ -13,8 +13,9 @@ from torch import Tensor
 from torchrl.envs import EnvBase
 
 from torchrl_atr._errors import InputError
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.physics import CONTROL_DT
-from torchrl_atr.evaluation.access import achieved_speeds, base_env
+from torchrl_atr.evaluation.access import achieved_speeds
 from torchrl_atr.evaluation.ride import MakeEnv, RideStep, build_env, ride
 from torchrl_atr.evaluation.video import Command, command_at
 from torchrl_atr.modules.keys import NetworkKeys

@@ -34,7 +34,7 @@ _SUFFIXES = {".mp4": "h264", ".gif": "gif"}
 
 
 @dataclass(frozen=True)
-class Ride:
+class VideoSummary:
     """Summary of a recorded ride: control steps, frames written, falls of the robot that is shown."""
 
     steps: int
@@ -62,7 +62,7 @@ def record_video(
     fps: float = 25.0,
     camera: str = CHASE,
     size: tuple[int, int] = (640, 480),
-) -> Ride:
+) -> VideoSummary:
     """Ride ``commands`` with the policy's deterministic action and write a video of the env's first robot.
 
     Command, speed and yaw rate are drawn into the picture. A robot that falls is reset, which is counted.
@@ -105,16 +105,18 @@ def record_video(
         atomic(path) as file,
         video_writer(file, Path(path).suffix, 1.0 / period, size) as writer,
     ):
-        for step, (command, fell) in enumerate(ride(policy, env, commands, round(seconds / CONTROL_DT)), start=1):
+        for step, (command, fell) in enumerate(
+            ride_with_resets(policy, env, commands, round(seconds / CONTROL_DT)), start=1
+        ):
             falls += fell
             if step % every == 0:
                 names, values = _caption(step * CONTROL_DT, command, achieved_speeds(env)[0].tolist(), falls)
                 writer.add_image(picture.render(names, values, period))
                 frames += 1
-    return Ride(steps=step, frames=frames, falls=falls)
+    return VideoSummary(steps=step, frames=frames, falls=falls)
 
 
-def ride(
+def ride_with_resets(
     policy: TensorDictModuleBase, env: EnvBase, commands: Sequence[Command], steps: int
 ) -> Iterator[tuple[tuple[float, float], bool]]:
     """Step ``env``, pinned to ``commands``; yield each step's command and whether robot 0 fell in it.

@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.evaluation.access import command_limits
 from torchrl_atr.evaluation.rendering import DisplayError, SceneView, has_display
-from torchrl_atr.evaluation.video import Command, ride
+from torchrl_atr.evaluation.video import Command, ride_with_resets
 
 _FOREVER = 10**9
 
@@ -94,7 +94,7 @@ def play_viewer(
         window.cam.trackbodyid = view.engine.scene.layout.followed_body
         window.cam.distance, window.cam.elevation = 2.6, -18.0
         begun = time.monotonic()
-        for step, _ in enumerate(ride(policy, env, asked, steps), start=1):
+        for step, _ in enumerate(ride_with_resets(policy, env, asked, steps), start=1):
             if not window.is_running():
                 break
             with window.lock():

@@ -108,7 +108,7 @@ class ActSource(TensorDictModuleBase):
 
 
 class AssignActSource(TensorDictModuleBase):
-    """Module that marks the robots that act on the estimates: the first ``round(fraction * N)`` rows.
+    """Module that marks the robots that act on the estimates: the first ``fraction * N`` rows, halves rounded up.
 
     A row keeps its role for the whole run, so its value targets are of one kind. For rollouts of a batched
     env only: the rows are those of the last batch dimension of the reference entry (*B, N, D), which during

@@ -83,12 +83,13 @@ class ActorBackbone(nn.Module):
         extrinsic_norm: RunningNormalizer | None,
         latent_features: int,
         action_features: int,
+        *,
         cells: Sequence[int] = (512, 256, 128),
         input_products: Sequence[tuple[int, int]] = (),
+        input_errors: Sequence[tuple[int, int]] = (),
         reflection: Tensor | None = None,
         output_map: Tensor | None = None,
         reads_scale: bool = False,
-        input_errors: Sequence[tuple[int, int]] = (),
         history_length: int = 0,
     ) -> None:
         super().__init__()

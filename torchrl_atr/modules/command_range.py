@@ -112,8 +112,8 @@ class CommandClippedPolicy(TensorDictModuleBase):
         >>> from tensordict.nn import TensorDictModule
         >>> policy = TensorDictModule(lambda observation: observation[:, -2:], ["observation"], ["action"])
         >>> clipped = CommandClippedPolicy(policy, CommandRange(max_speed=2.0, max_yaw_rate=1.0))
-        >>> told = clipped(TensorDict({"observation": torch.full((1, 5), 9.0)}, [1]))
-        >>> told["action"].tolist(), told["observation"].max().item()
+        >>> acted = clipped(TensorDict({"observation": torch.full((1, 5), 9.0)}, [1]))
+        >>> acted["action"].tolist(), acted["observation"].max().item()
         ([[2.0, 1.0]], 9.0)
     """
 
@@ -124,12 +124,12 @@ class CommandClippedPolicy(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase, **kwargs: Any) -> TensorDictBase:
         """Add the policy's outputs for the clipped commands."""
-        told = tensordict.select(*self.in_keys, strict=False)
+        policy_input = tensordict.select(*self.in_keys, strict=False)
         for key in (self.keys.observation, self.keys.history):
-            value = told.get(key, None)
+            value = policy_input.get(key, None)
             if value is not None:
-                told.set(key, torch.cat([value[..., :-2], self.limits(value[..., -2:])], -1))
-        return tensordict.update(self.policy(told, **kwargs).select(*self.out_keys, strict=False))
+                policy_input.set(key, torch.cat([value[..., :-2], self.limits(value[..., -2:])], -1))
+        return tensordict.update(self.policy(policy_input, **kwargs).select(*self.out_keys, strict=False))
 
 
 def _within(value: Tensor, bound: Tensor) -> Tensor:

@@ -43,7 +43,7 @@ class ROANetworks(nn.Module):
         critic_inputs (sequence of NestedKey): last inputs of the critic, one for each of its ``input_norms``.
         keys (NetworkKeys): names of the other entries.
 
-    The ``state_dict`` holds parameters alone, and neither of the attributes: set them beside it.
+    The ``state_dict`` holds parameters and the normalisers' statistics, but not the two attributes: set them beside it.
 
     Attributes:
         command_range (CommandRange or None): range to which the deployed policy's commands are clipped; initially None.

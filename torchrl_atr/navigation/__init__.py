@@ -1,7 +1,7 @@
 """Navigation: maps, planned paths, path following and energy, for any policy that takes (c_v, c_ω)."""
 
 from torchrl_atr._errors import MissingPackageError
-from torchrl_atr.evaluation.energy import Energy, Power, cost_of_transport, measure_power
+from torchrl_atr.evaluation.energy import CostOfTransport, Power, cost_of_transport, measure_power
 
 try:
     import ompl  # noqa: F401
@@ -14,7 +14,7 @@ from torchrl_atr.navigation.pursuit import PurePursuit, PursuitConfig
 from torchrl_atr.navigation.trips import TripsResult, run_trips
 
 __all__ = [
-    "Energy",
+    "CostOfTransport",
     "Map",
     "MapError",
     "Path",

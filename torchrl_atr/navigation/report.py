@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from torchrl_atr._files import atomic, write_json
-from torchrl_atr.evaluation.energy import Energy
+from torchrl_atr.evaluation.energy import CostOfTransport
 from torchrl_atr.evaluation.intervals import mean_interval, wilson
 from torchrl_atr.navigation.film import film_best
 from torchrl_atr.navigation.map import Map
@@ -20,7 +20,7 @@ from torchrl_atr.navigation.paths import Path
 from torchrl_atr.navigation.trips import GOAL, TripsResult
 
 Array = NDArray[np.float64]
-_NESTED = ("energy", "traces")
+_NESTED = ("cost", "traces")
 
 
 def trip_metrics(result: TripsResult) -> dict[str, Any]:
@@ -39,7 +39,7 @@ def trip_metrics(result: TripsResult) -> dict[str, Any]:
         "deviation": result.deviation,
         "joint_power": result.joint_power,
         "drive_power": result.drive_power,
-        **{f"cot_{name}": np.asarray(value, dtype=float) for name, value in result.energy._asdict().items()},
+        **{f"cot_{name}": np.asarray(value, dtype=float) for name, value in result.cost._asdict().items()},
     }
     successes, n = int(there.sum()), len(there)
     return {
@@ -76,7 +76,7 @@ def write_trips(
 def save_trips(result: TripsResult, paths: Sequence[Path], file: str | FilePath) -> None:
     """Write trips and their paths as one ``.npz`` file; :func:`load_trips` reads the trips back."""
     arrays: dict[str, Any] = {name: value for name, value in vars(result).items() if name not in _NESTED}
-    arrays |= {f"cot_{name}": value for name, value in result.energy._asdict().items()}
+    arrays |= {f"cot_{name}": value for name, value in result.cost._asdict().items()}
     arrays |= {f"path_{i}": path.points for i, path in enumerate(paths)}
     arrays |= {f"trace_{i}": trace for i, trace in enumerate(result.traces)}
     with atomic(file) as written:
@@ -87,6 +87,6 @@ def load_trips(file: str | FilePath) -> TripsResult:
     """Read the trips of a file that :func:`save_trips` wrote."""
     with np.load(file) as arrays:
         values = {field.name: arrays[field.name] for field in fields(TripsResult) if field.name not in _NESTED}
-        energy = Energy(*(arrays[f"cot_{name}"] for name in Energy._fields))
+        cost = CostOfTransport(*(arrays[f"cot_{name}"] for name in CostOfTransport._fields))
         traces = [arrays[f"trace_{i}"] for i in range(len(values["outcome"]))]
-    return TripsResult(**values, energy=energy, traces=traces)
+    return TripsResult(**values, cost=cost, traces=traces)

@@ -14,10 +14,11 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
 from torchrl_atr._errors import InputError
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks.rotations import euler_from_matrix, matrix_from_quaternion
-from torchrl_atr.evaluation.access import base_env, command_limits, command_owner
-from torchrl_atr.evaluation.energy import Energy, cost_of_transport, measure_power, robot_mass
+from torchrl_atr.evaluation.access import command_limits, command_owner
+from torchrl_atr.evaluation.energy import CostOfTransport, cost_of_transport, measure_power, robot_mass
 from torchrl_atr.evaluation.ride import MakeEnv, RideStep, build_env, ride
 from torchrl_atr.modules import CommandRange
 from torchrl_atr.navigation.map import Map
@@ -45,7 +46,7 @@ class TripsResult:
         largest_deviation: the largest, m, (n,).
         joint_power: mean positive power, summed over joints, W, (n,).
         drive_power: mean power of the transporter's drive, W, (n,).
-        energy: cost of transport, (n,) each.
+        cost: of transport, (n,) each.
         traces: x, y (m), yaw (rad), time (s), and mean powers of joints and drive since the row before (W), every
             :data:`TRACE_STEPS` control steps and at the end, (n,) arrays of (T, 6).
     """
@@ -58,7 +59,7 @@ class TripsResult:
     largest_deviation: Array
     joint_power: Array
     drive_power: Array
-    energy: Energy
+    cost: CostOfTransport
     traces: list[Array]
 
     @property
@@ -240,6 +241,6 @@ class _TripLog:
             largest_deviation=self.largest,
             joint_power=joints,
             drive_power=drive,
-            energy=cost_of_transport(joints, drive, mass, speed, count),
+            cost=cost_of_transport(joints, drive, mass, speed, count),
             traces=[np.stack(trace) for trace in self.traces],
         )

@@ -187,7 +187,7 @@ def _differences(results: Mapping[tuple[str, str], TripsResult], methods: Sequen
         both = (riding.outcome == GOAL) & (walking.outcome == GOAL)
         row: dict[str, Any] = {"map": where, "riding": name, "walking": walkers[robot], "paths": int(both.sum())}
         for cost in COSTS:
-            pair = [np.asarray(getattr(each.energy, cost), dtype=float)[both] for each in (walking, riding)]
+            pair = [np.asarray(getattr(each.cost, cost), dtype=float)[both] for each in (walking, riding)]
             value, interval = bootstrap_difference(pair[0], pair[1], paired=True)
             row[cost] = {"difference": value if both.any() else None, "interval": interval and list(interval)}
         yield row
@@ -237,7 +237,7 @@ def _plot(results: Mapping[tuple[str, str], TripsResult], path: Path) -> Path:
         for axis, where in zip(axes[0], maps):
             for place, name in enumerate(names):
                 result = results[where, name]
-                values = np.asarray(result.energy.joints, dtype=float)[result.outcome == GOAL]
+                values = np.asarray(result.cost.joints, dtype=float)[result.outcome == GOAL]
                 if len(values):
                     axis.boxplot(values, positions=[place], widths=0.6)
                 else:

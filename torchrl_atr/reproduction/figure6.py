@@ -86,10 +86,10 @@ def figure6(job: Job, folder: Path, commands: str | Path = "figure6", sizes: Siz
 
 def _refusal(sequence: tuple[Command, ...], policy: RiderPolicy) -> str:
     """Return why a policy does not take the commands; empty if it does."""
-    limits, grid = commanded_range(policy.config, policy.networks), policy.config.grid
-    if limits is not None and grid is not None:
+    limits = commanded_range(policy.config, policy.networks)
+    if limits is not None:
         try:
-            check_commands(sequence, limits, grid.forward_only)
+            check_commands(sequence, limits)
         except InputError as error:
             return f"{policy.name}, {policy.folder}: {error}"
     return ""

@@ -1,4 +1,4 @@
-"""Collection of batches, by a collector in this process or by workers of TorchRL's engines."""
+"""Collection of batches, by a collector in this process or by workers of TorchRL's backends."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from torchrl_atr._errors import InputError, UserError, first_line
 from torchrl_atr._torchrl_private import carried_root
 from torchrl_atr.config import TrainConfig
 from torchrl_atr.envs import reconfigure
+from torchrl_atr.envs.access import transforms_of
 from torchrl_atr.envs.transforms.step_counter import RandomizedStepCounter
-from torchrl_atr.evaluation.access import transforms_of
 from torchrl_atr.modules import DeviceBridge, with_state
 from torchrl_atr.modules.estimators import state_keys
 from torchrl_atr.training.env_access import attribute, curriculum_of, env_state, load_env_state
@@ -33,7 +33,7 @@ _PLAIN = {"auto_register_policy_transforms": False}
 """Arguments of a collector whose env has the policy's transforms."""
 _CURRICULUM = "env.curriculum"
 _ENDLESS = 2**62
-"""Frames, for the engines that do not read -1 as endless."""
+"""Frames, for the backends that do not read -1 as endless."""
 _WORKER_STRIDE, _RESUME_STRIDE = 1000, 7919
 """Differences of the seeds of two workers, and of a worker that starts at one iteration and at the next."""
 
@@ -68,12 +68,12 @@ class Collection:
         policy: TensorDictModuleBase,
         started: int = 0,
     ) -> None:
-        self.stateful = bool(state_keys(policy))
+        self.recurrent = bool(state_keys(policy))
         self.config, self.policy = config, policy
         self.env = with_state(env, policy) if config.compute.collector == "direct" else env
         self.curriculum = curriculum_of(env)
         self.remote = config.compute.collector != "direct"
-        self.callable = config.compute.collector in ("process", "ray")
+        self.can_call_workers = config.compute.collector in ("process", "ray")
         self._broken, self._started = False, started
         self._others = set(multiprocessing.active_children())  # started by other code
         try:
@@ -96,7 +96,7 @@ class Collection:
         }
         if not self.remote:
             plain = {"track_traj_ids": False, "return_same_td": True, "trust_policy": True, **_PLAIN}
-            captured = config.captures_graphs and not self.stateful  # an episode's begin is asked for
+            captured = config.captures_graphs and not self.recurrent  # it branches on is_init, a CUDA graph cannot
             return Collector(self.env, _for_cpu_data(self.policy, config, captured), **plain, **common)
         threads = max(1, (config.compute.num_threads or available_cpus()) // config.compute.workers)
         weights = None if self.curriculum is None else self.curriculum.weights.clone()
@@ -118,7 +118,7 @@ class Collection:
             num_collectors=config.compute.workers,
             sync=True,
             **common,
-            **_engine(config, threads, {"auto_register_policy_transforms": self.stateful}),
+            **_backend_arguments(config, threads, {"auto_register_policy_transforms": self.recurrent}),
         )
 
     def collect(self) -> TensorDictBase:
@@ -134,7 +134,7 @@ class Collection:
             return
         with self._workers():
             self.collector.update_policy_weights_()
-            if self.callable and self.curriculum is not None:
+            if self.can_call_workers and self.curriculum is not None:
                 for weights in self.collector.get_distant_attr(f"{_CURRICULUM}.weights"):
                     self.curriculum.merge_(weights)
                 arguments = [(self.curriculum.weights.clone(),)] * self.config.compute.workers
@@ -149,7 +149,7 @@ class Collection:
             InputError: names what does not fit; nothing has changed then. With ``distributed``, whose workers cannot be
                 called, always.
         """
-        if self.remote and not self.callable:
+        if self.remote and not self.can_call_workers:
             raise InputError(f"collector={self.config.compute.collector!r} cannot call its workers; use process or ray")
         reconfigure(self.env, **changes)  # refused here, before any worker is asked
         if self.remote:
@@ -158,7 +158,7 @@ class Collection:
 
     @contextmanager
     def _workers(self, what: str = "failed") -> Iterator[None]:
-        """Turn the errors that TorchRL's engines raise when a worker is gone into a :class:`CollectionError`."""
+        """Turn the errors that TorchRL's backends raise when a worker is gone into a :class:`CollectionError`."""
         try:
             yield
         except Exception as error:
@@ -176,7 +176,7 @@ class Collection:
         here = attribute(self.env, "num_diverged")
         if not self.remote or here is None:
             return here
-        if not self.callable:
+        if not self.can_call_workers:
             return None
         with self._workers():
             return sum(self.collector.get_distant_attr("env.base_env.num_diverged"))
@@ -200,7 +200,7 @@ class Collection:
             return {}
         return {
             **env,
-            "policy": {name: part.get_extra_state() for name, part in self._stateful()},
+            "policy": {name: part.get_extra_state() for name, part in self._parts_with_extra_state()},
             "carried": carried_root(self.collector).to_dict(),
         }
 
@@ -209,12 +209,12 @@ class Collection:
         if self.remote or not state:
             return
         load_env_state(self.env, state)
-        for name, part in self._stateful():
+        for name, part in self._parts_with_extra_state():
             part.set_extra_state(state["policy"][name])
         carried = TensorDict(state["carried"], batch_size=self.env.batch_size)
         carried_root(self.collector).update(carried.exclude("reward_terms"))  # in earlier checkpoints
 
-    def _stateful(self) -> list[tuple[str, Any]]:
+    def _parts_with_extra_state(self) -> list[tuple[str, Any]]:
         """Return name and module of the policy's parts with a state beside parameters, such as correlated noise."""
         plain = torch.nn.Module.get_extra_state
         return [(name, part) for name, part in self.policy.named_modules() if type(part).get_extra_state is not plain]
@@ -247,8 +247,8 @@ def _for_cpu_data(
     return policy if device == "cpu" else DeviceBridge(policy, device, captured).forward
 
 
-def _engine(config: TrainConfig, threads: int, of_each: dict[str, Any]) -> dict[str, Any]:
-    """Return the engine-specific arguments of TorchRL's ``Collector``; each worker needs ``threads`` CPUs."""
+def _backend_arguments(config: TrainConfig, threads: int, of_each: dict[str, Any]) -> dict[str, Any]:
+    """Return the backend-specific arguments of TorchRL's ``Collector``; each worker needs ``threads`` CPUs."""
     if config.compute.collector == "process":
         # workers wait while the learner computes: it keeps all of its threads
         return {"total_frames": -1, "cat_results": 0, "num_threads": torch.get_num_threads(), **of_each}

@@ -9,18 +9,14 @@ from tensordict import TensorDict
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.transforms import CommandCurriculum
 from torchrl_atr.runs.checkpoint import CheckpointError
 
 
-def base_of(env: EnvBase) -> Any:
-    """Return the env below all transforms."""
-    return base_of(env.base_env) if isinstance(env, TransformedEnv) else env
-
-
 def attribute(env: EnvBase, name: str) -> Any:
     """Return an attribute of the env below all transforms; None if it lacks it, or is made of several envs."""
-    base = base_of(env)
+    base = base_env(env)
     return None if isinstance(base, BatchedEnvBase) else getattr(base, name, None)
 
 
@@ -70,7 +66,7 @@ def env_state(env: EnvBase) -> dict[str, Any]:
 
 def load_env_state(env: EnvBase, state: dict[str, Any]) -> None:
     """Restore :func:`env_state`; a :class:`CheckpointError` says that it is of other transforms."""
-    base = base_of(env)
+    base = base_env(env)
     if "transforms" in state:
         try:
             env.transform.load_state_dict(state["transforms"])

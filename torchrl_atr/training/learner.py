@@ -216,7 +216,7 @@ class Learner:
         if self._update == "imitation":
             terms = self.callbacks.through("on_loss", terms, minibatch, "policy")
             return self._step(terms, ("policy",))
-        divergence = kl_divergence(terms)
+        divergence = terms["kl_divergence"] = kl_divergence(terms)
         self.schedule.step(divergence, hold=self._first | self._too_far)
         self._first.fill_(False)
         if self.config.ppo.kl_stop > 0:

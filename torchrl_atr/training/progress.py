@@ -52,7 +52,7 @@ _COLUMNS = (
     _Column("extrinsic_error", "{:.3f}", "extrin", "error", 7),
     _Column("std", "{:.3f}", "act", "std", 6),
     _Column("action_rate_rms", "{:.3f}", "action", "rms", 7),
-    _Column("kl_approx", "{:.4f}", "KL", "", 8),
+    _Column("kl_divergence", "{:.4f}", "KL", "", 8),
     _Column("skipped_steps", "{:.0f}", "skip", "steps", 6),
 )
 _LEFT = 10
@@ -108,7 +108,7 @@ class Progress:
     def __enter__(self) -> Progress:
         self._logger = self.logger or self._make_logger()
         if self._logger is not None and (self.logger is not None or self.config.logging.logger != "tensorboard"):
-            self._logger.log_hparams(self.config.to_dict())  # TensorBoard takes no lists; config.json has them all
+            self._logger.log_hparams(self.config.to_dict())  # TensorBoard takes no lists; config.toml has them all
         return self
 
     def __exit__(self, *exception: Any) -> None:
@@ -117,7 +117,7 @@ class Progress:
     def update(self, metrics: dict[str, float]) -> None:
         """Show and store one iteration."""
         self._shown.update(metrics)
-        self._append(self._shown)
+        self._append(metrics)
         if "falls_per_minute" in metrics:
             self._falls.append(metrics["falls_per_minute"])
             self._shown["falls_per_minute"] = fmean(self._falls)

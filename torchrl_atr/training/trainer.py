@@ -16,6 +16,7 @@ from torchrl_atr._interrupt import Interrupt
 from torchrl_atr._threads import TorchThreads
 from torchrl_atr.config import TrainConfig
 from torchrl_atr.config.files import to_toml
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.models.identity import describe, digest
 from torchrl_atr.runs.checkpoint import NAME, load_rng_state, rng_state, save_checkpoint
 from torchrl_atr.runs.files import CONFIG, ORIGIN, clear, keep_files, stored_settings
@@ -115,7 +116,7 @@ class Trainer:
         self._model = None if scene is None else describe(scene)
         loss, schedule = self.parts.loss(config, networks), make_reward_schedule(self.env)
         # of the env below all transforms: one of them may leave the terms out of what is stored
-        emitted = env_access.base_of(self.env).full_observation_spec.get("reward_terms", {})
+        emitted = base_env(self.env).full_observation_spec.get("reward_terms", {})
         check_reward_terms(schedule, emitted.keys())
         self._prepare_folder(fresh=state is None)
         self.curriculum = env_access.curriculum_of(self.env)

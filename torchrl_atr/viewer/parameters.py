@@ -8,7 +8,7 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.evaluation.access import base_env
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.modules import NetworkKeys
 
 OFFERED = ("payload", "friction")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torchrl.envs import EnvBase
 
-from torchrl_atr.evaluation.access import base_env
+from torchrl_atr.envs.access import base_env
 
 Array = NDArray[np.float64]
 SPACING = 1.6

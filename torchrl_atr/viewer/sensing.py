@@ -8,8 +8,9 @@ import numpy as np
 from tensordict import NestedKey, TensorDictBase
 from torchrl.envs import EnvBase
 
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.tasks.state import GRAVITY
-from torchrl_atr.evaluation.access import achieved_speeds, base_env
+from torchrl_atr.evaluation.access import achieved_speeds
 from torchrl_atr.evaluation.energy import measure_power, robot_mass
 from torchrl_atr.modules import NetworkKeys
 from torchrl_atr.viewer.readings import Reading

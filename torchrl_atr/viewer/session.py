@@ -17,10 +17,10 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from torchrl_atr._errors import InputError
+from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks.rotations import euler_from_matrix, matrix_from_quaternion
 from torchrl_atr.evaluation.access import (
-    base_env,
     command_limits,
     command_owner,
     extrinsic_components,

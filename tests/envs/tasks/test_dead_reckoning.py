@@ -144,3 +144,10 @@ def test_a_turn_corrects_a_velocity_that_drifted():
 def test_an_unknown_method_is_named():
     with pytest.raises(InputError, match="velocity_filter 'magic'"):
         riding(velocity_filter="magic")
+    with pytest.raises(InputError, match="unknown method 'magic'"):
+        dead_reckoning("magic")
+
+
+def test_each_component_has_its_unit():
+    ours = QuadrupedEnv(riding(velocity_filter="aligned_kalman_filter"), 1, num_threads=1).runner.terms.observations
+    assert [unit for _, unit in ours.labels(KEY)] == ["m/s", "m/s", "m/s", "rad", "rad"]

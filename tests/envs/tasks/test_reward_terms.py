@@ -71,9 +71,9 @@ def half(c):
         ({"quiet": lambda c: c.action.sum(-1)}, "the reward term 'quiet' is <function"),
         (
             {"quiet": RewardTerm(lambda c: c.action, 1.0)},
-            r"'quiet' returned \(1, 12\); it must return floats of shape \(1,\)",
+            r"'quiet' returned \(1, 12\) of float32; it must return floats of shape \(1,\)",
         ),
-        ({"quiet": RewardTerm(lambda c: c.terminated, 1)}, r"'quiet' returned \(1,\); it must return floats"),
+        ({"quiet": RewardTerm(lambda c: c.terminated, 1)}, r"'quiet' returned \(1,\) of int64; it must return floats"),
         ({"quiet": RewardTerm(lambda c: 1.0, 1.0)}, "'quiet' returned float"),
         ({"quiet": RewardTerm(lambda c: c.state.nose, 1.0)}, "'quiet' failed: AttributeError: .*nose"),
     ],

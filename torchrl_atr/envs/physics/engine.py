@@ -155,7 +155,7 @@ class Engine(ABC):
         warned_anew = torch.from_numpy((self._warnings()[:, _DIVERGED] > warned).any(axis=1))
         self.diverged = warned_anew | ((self.time - expected).abs() > 0.5 * self.timestep)
         if self.diverged.any():
-            self.hook.lose(self.diverged)
+            self.hook.reset_diverged(self.diverged)
 
     def nominal(self, name: str) -> Tensor:
         """Return a field of the nominal model, float64, read-only."""

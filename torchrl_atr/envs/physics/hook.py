@@ -42,7 +42,7 @@ class SubstepHook:
     def apply(self, dt: float) -> None:
         """Act on all simulations before a substep of ``dt`` seconds, for example by ``engine.qfrc_applied``."""
 
-    def lose(self, rows: Tensor) -> None:
+    def reset_diverged(self, rows: Tensor) -> None:
         """Clear the hook's state of simulations that diverged, (N,) bool."""
 
 

@@ -217,6 +217,7 @@ class _Method(NamedTuple):
     mirror: tuple[float, ...]
     parts: tuple[str, ...]
     output: str
+    unit: str | tuple[str, ...] = "m/s"
 
 
 _BODY_VELOCITY = "velocity in the body frame, m/s"
@@ -237,6 +238,7 @@ METHODS: Mapping[str, _Method] = {
         (1.0, -1.0, 1.0, -1.0, 1.0),
         ("x", "y", "std", "yaw", "yaw std"),
         f"{_HEADING_VELOCITY}; the yaw relative to the transporter, rad, and its standard deviation",
+        ("m/s", "m/s", "m/s", "rad", "rad"),
     ),
 }
 """Methods by name; each observes a velocity, (N, 3), m/s, the last one also a yaw, (N, 5), m/s and rad."""
@@ -260,14 +262,14 @@ def dead_reckoning(method: str = "kalman_filter", key: str = KEY) -> tuple[Group
         key: name of the memory term, and of the observation.
 
     Raises:
-        UnknownNameError: for an unknown method.
+        InputError: for an unknown method.
 
     Example:
         >>> from torchrl_atr.envs.tasks import riding
         >>> task, (group, memory) = riding(), dead_reckoning("integral", "drifting")
         >>> task = task.replace(memory={**task.memory, "drifting": memory}).with_observation("drifting", **group)
     """
-    check_choice("velocity_filter", method, tuple(METHODS))
+    check_choice("method", method, METHODS)
     chosen = METHODS[method]
-    term = ObservationTerm(partial(chosen.observe, key=key), chosen.mirror, parts=chosen.parts, unit="m/s")
+    term = ObservationTerm(partial(chosen.observe, key=key), chosen.mirror, parts=chosen.parts, unit=chosen.unit)
     return {key: term}, MemoryTerm(chosen.size, partial(chosen.update, key=key), chosen.start)

@@ -50,19 +50,24 @@ class Disturbance:
     Attributes:
         function: ``function(engine, rows, generator)`` changes the live state of ``rows``, (n,) integers.
         interval: time between two of them, s, counted from the start of an episode.
+        is_push: whether ``reconfigure(pushes=...)`` switches it off or changes its sizes; the function of a push also
+            takes a keyword argument ``pushes``, a :class:`Pushes`.
 
     Raises:
-        InputError: if the function cannot be called, or the interval is not at least a control step.
+        InputError: if the function cannot be called, the interval is not at least a control step, or ``is_push`` is no
+            bool.
 
     Example:
-        >>> Disturbance(push_robot, interval=3.0).steps
+        >>> Disturbance(push_robot, interval=3.0, is_push=True).steps
         150
     """
 
-    function: Callable[[Engine, Tensor, torch.Generator], None]
+    function: Callable[..., None]
     interval: float
+    is_push: bool = False
 
     def __post_init__(self) -> None:
+        check_flag("is_push", self.is_push)
         if not callable(self.function):
             raise InputError(f"function={self.function!r} of a disturbance cannot be called; give a function")
         check_number("interval", self.interval, CONTROL_DT)

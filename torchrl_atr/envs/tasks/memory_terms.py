@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.term_checks import try_term
 
 
 class MemoryTermError(InputError):
@@ -38,11 +39,7 @@ class MemoryTerm:
 
 
 def started(terms: Mapping[str, MemoryTerm], context: StepContext) -> dict[str, Tensor]:
-    """Return the memory at the start of episodes, (n, D) by name.
-
-    Raises:
-        MemoryTermError: names the term that is not a :class:`MemoryTerm`, or whose value has another shape.
-    """
+    """Return the memory at the start of episodes, (n, D) by name; the terms must have passed :func:`check`."""
     n, memory = len(context.command), {}
     for name, term in terms.items():
         zero = torch.zeros(n, term.size, dtype=torch.float32)
@@ -64,21 +61,13 @@ def check(terms: Mapping[str, MemoryTerm], context: StepContext) -> None:
     for name, term in terms.items():
         if not isinstance(term, MemoryTerm):
             raise MemoryTermError(f"the memory term {name!r} is {term!r}; give a MemoryTerm")
-    begun = {name: _try(started, name, term, context)[name] for name, term in terms.items()}
-    context.memory = begun
-    for name, term in terms.items():
-        _try(updated, name, term, context)
+    for values_of in (started, updated):
+        context.memory = {name: _try(values_of, name, term, context) for name, term in terms.items()}
 
 
-def _try(
-    values_of: Callable[..., dict[str, Tensor]], name: str, term: MemoryTerm, context: StepContext
-) -> dict[str, Tensor]:
-    try:
-        values = values_of({name: term}, context)
-    except Exception as error:  # of the user's function
-        raise MemoryTermError(f"the memory term {name!r} failed: {type(error).__name__}: {error}") from error
-    value, needed = values[name], (len(context.command), term.size)
-    shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
-    if shape != needed or value.dtype != torch.float32:
-        raise MemoryTermError(f"the memory term {name!r} returned {shape}; it must return float32 of shape {needed}")
-    return values
+def _try(values_of: Callable[..., dict[str, Tensor]], name: str, term: MemoryTerm, context: StepContext) -> Tensor:
+    def function(context: StepContext) -> Tensor:
+        return values_of({name: term}, context)[name]
+
+    shape = (len(context.command), term.size)
+    return try_term(f"the memory term {name!r}", function, context, shape, error=MemoryTermError)

@@ -36,7 +36,7 @@ def matrix(mirror: Mirror, scene: Scene, size: int, what: str, error: type[Input
     Raises:
         InputError: (or ``error``) names the quantity whose mirror image has another size or is invalid: R is a signed
             permutation that undoes itself.
-        RobotError, TransporterError: see :func:`joints`.
+        UserError: whatever a mirror that is a function raises, such as RobotError of :func:`joints`.
 
     Example:
         >>> from torchrl_atr.envs.models import ROBOTS, FlatGround, build_scene

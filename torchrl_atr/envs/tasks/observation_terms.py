@@ -16,6 +16,7 @@ from torchrl_atr.envs.models.scene import Scene
 from torchrl_atr.envs.tasks import mirrors
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.mirrors import Mirror
+from torchrl_atr.envs.tasks.term_checks import try_term
 
 INTRINSIC = ("privileged", "intrinsic")
 """Key of the intrinsic parameters, which are not observation terms."""
@@ -47,7 +48,7 @@ class ObservationTerm:
             matrix (D, D), such as :func:`~torchrl_atr.envs.tasks.mirrors.joints`; None if there is none.
         label: its name in tables; its key by default.
         parts: names of its components in tables, such as ``"xyz"``.
-        unit: of all of them.
+        unit: of all of them, or a sequence with the unit of each.
         noise: standard deviation of white noise that is added at every step, in its unit.
         bias: standard deviation of an error that is drawn for every episode, in its unit.
         bias_time: correlation time of the bias, s: it wanders slowly and keeps its standard deviation. Infinite by
@@ -66,7 +67,7 @@ class ObservationTerm:
     mirror: Mirror | None = None
     label: str = ""
     parts: Sequence[str] = ()
-    unit: str = ""
+    unit: str | Sequence[str] = ""
     noise: float = 0.0
     bias: float = 0.0
     bias_time: float = math.inf
@@ -85,6 +86,10 @@ class ObservationTerm:
                 check_number("bias_time", self.bias_time, above=0.0)
         except InputError as error:
             raise ObservationError(f"{error} (of an observation term)") from None
+
+    def unit_of(self, component: int) -> str:
+        """Return the unit of a component."""
+        return self.unit if isinstance(self.unit, str) else self.unit[component]
 
     @property
     def has_errors(self) -> bool:
@@ -136,7 +141,7 @@ class Observations:
             title = term.label or name.replace("_", " ")
             for i in range(size):
                 part = term.parts[i] if i < len(term.parts) else (str(i) if size > 1 else "")
-                labels.append((f"{title} {part}".rstrip(), term.unit))
+                labels.append((f"{title} {part}".rstrip(), term.unit_of(i)))
         return labels
 
     def names(self, key: NestedKey) -> list[str]:
@@ -187,19 +192,12 @@ def _check_groups(groups: Mapping[NestedKey, Group]) -> None:
 def _try(key: NestedKey, name: str, term: ObservationTerm, context: StepContext) -> int:
     if not isinstance(name, str) or not isinstance(term, ObservationTerm):
         raise ObservationError(f"the observation term {_place(key, name)} is {term!r}; give an ObservationTerm")
-    try:
-        value = term.function(context)
-    except Exception as error:  # of the user's function
-        reason = f"{type(error).__name__}: {error}"
-        raise ObservationError(f"the observation term {_place(key, name)} failed: {reason}") from error
-    n = len(context.command)
-    shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
-    if not isinstance(value, Tensor) or value.ndim != 2 or len(value) != n or value.dtype != torch.float32:
-        dtype = f" of {value.dtype}" if isinstance(value, Tensor) else ""
+    place = f"the observation term {_place(key, name)}"
+    size = try_term(place, term.function, context, (len(context.command), None), error=ObservationError).shape[-1]
+    if not isinstance(term.unit, str) and len(term.unit) != size:
         raise ObservationError(
-            f"the observation term {_place(key, name)} returned {shape}{dtype}; it must be float32 of ({n}, D)"
+            f"{place} has {size} components and {len(term.unit)} units; give it one unit for all, or one for each"
         )
-    size = value.shape[-1]
     if term.mirror is not None and not callable(term.mirror):
         _mirror(key, name, term.mirror, context.scene, size)
     return size

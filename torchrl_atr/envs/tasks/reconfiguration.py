@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -82,17 +81,22 @@ def checked_changes(
 def _pushed(task: Task, pushes: Pushes | None) -> dict[str, Disturbance]:
     """Return a task's disturbances with other pushes, or without any."""
     changed = dict(task.disturbances)
-    names = [name for name, each in changed.items() if "pushes" in inspect.signature(each.function).parameters]
+    names = [name for name, each in changed.items() if each.is_push]
+    if not names and changed:
+        raise InputError(
+            f"none of the disturbances of task {task.name!r} is a push: {', '.join(changed)}; give the one that is "
+            "is_push=True, and its function an argument pushes"
+        )
     if not names and pushes is not None:
         raise InputError(
             f"the env of task {task.name!r} was made without any; make it with pushes=True, and switch them off until "
             "they are wanted"
         )
     for name in names:
-        disturbance = changed.pop(name)
+        push = changed.pop(name)
         if pushes is not None:
-            function: Any = disturbance.function
-            changed[name] = Disturbance(partial(function, pushes=pushes), pushes.interval)
+            function = partial(push.function, pushes=pushes)
+            changed[name] = replace(push, function=function, interval=pushes.interval)
     return changed
 
 

@@ -13,6 +13,7 @@ from torchrl_atr._checks import check_number
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.physics.engine import CONTROL_DT
 from torchrl_atr.envs.tasks.context import StepContext
+from torchrl_atr.envs.tasks.term_checks import try_term
 
 TERMINATION = "termination"
 """Name of the term that scores early terminations: A17 leaves it out of the clip, and failed simulations cost it."""
@@ -124,11 +125,4 @@ class RewardFunction:
 def _try(name: str, term: RewardTerm, context: StepContext) -> None:
     if not isinstance(name, str) or not isinstance(term, RewardTerm):
         raise RewardError(f"the reward term {name!r} is {term!r}; give a RewardTerm by its name")
-    try:
-        value = term(context)
-    except Exception as error:  # of the user's function
-        raise RewardError(f"the reward term {name!r} failed: {type(error).__name__}: {error}") from error
-    expected = tuple(context.terminated.shape)
-    shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
-    if shape != expected or not value.is_floating_point():
-        raise RewardError(f"the reward term {name!r} returned {shape}; it must return floats of shape {expected}")
+    try_term(f"the reward term {name!r}", term, context, tuple(context.terminated.shape), None, RewardError)

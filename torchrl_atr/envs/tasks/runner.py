@@ -103,7 +103,7 @@ class EpisodeRunner:
     def _check_names(self) -> None:
         """Raise if a memory term has the name of another entry of the state."""
         for name in self.task.memory:
-            if name in (*_BOOKKEEPING, *self.engine.live_state, *self._reader.state, "command", "emitted"):
+            if name in (*_BOOKKEEPING, *self.engine.live_state, *self._reader.unrecoverable, "command", "emitted"):
                 raise MemoryTermError(f"the memory term {name!r} has the name of a state entry; give it another name")
 
     @keeps_normal_tensors
@@ -119,7 +119,7 @@ class EpisodeRunner:
             command: initial command of those episodes, (n, C); read by moving starts.
 
         Returns:
-            Observations of those rows, as :meth:`observe` returns for all.
+            Observations of those rows, with sensor errors; keys as of :meth:`observe`.
         """
         n = len(rows)
         x_int = self.intrinsics.draw(n, self.ends, self.rng)
@@ -131,9 +131,9 @@ class EpisodeRunner:
         self.engine.reset(rows, begun.qpos, begun.qvel, lambda fields: self.intrinsics.apply(fields, x_int))
         self._disturbances.begin(rows)
         errors = self.sensor_errors.start(rows)
-        observed, velocities, memory, exact = self.terms.first(self._reader.gather(rows), command, x_int, errors)
+        observed, differentiated, memory, exact = self.terms.first(self._reader.gather(rows), command, x_int, errors)
         self.sensor_errors.remember(exact, rows)
-        self._reader.velocities[rows] = velocities
+        self._reader.differentiated[rows] = differentiated
         # out of place: callers may hold tensors that were returned before
         self.x_int = self.x_int.index_copy(0, rows, x_int)
         self.memory = {name: value.index_copy(0, rows, memory[name]) for name, value in self.memory.items()}
@@ -198,8 +198,8 @@ class EpisodeRunner:
         diverged = self.engine.diverged
         if diverged.any():  # the previous state is not valid for differences
             self._reader.forget(diverged.nonzero().squeeze(-1))
-        before = self._reader.velocities, self._action, self.previous_action, self.memory
-        outcome, self._reader.velocities, self.memory, exact = self.terms.evaluate(
+        before = self._reader.differentiated, self._action, self.previous_action, self.memory
+        outcome, self._reader.differentiated, self.memory, exact = self.terms.evaluate(
             self._reader.gather(), *before, command, self.x_int, diverged, self.sensor_errors.step()
         )
         self.sensor_errors.remember(exact)
@@ -208,7 +208,7 @@ class EpisodeRunner:
         outcome.observed["moving_start"] = self.moving.unsqueeze(-1)
         return outcome
 
-    def contain(self, outcome: StepOutcome) -> dict[int, str]:
+    def terminate_failed(self, outcome: StepOutcome) -> dict[int, str]:
         """End the episodes of robots whose simulation, observation or reward failed in a step.
 
         Their reward is the cost of termination alone, and observations that are not finite become zero.
@@ -256,7 +256,7 @@ class EpisodeRunner:
 
     def get_state(self) -> dict[str, Tensor]:
         """Return simulation state (float64) and bookkeeping, copied."""
-        own = {**self._bookkeeping(), **self._reader.state}
+        own = {**self._bookkeeping(), **self._reader.unrecoverable}
         return {**self.engine.get_state(), **{name: value.clone() for name, value in own.items()}}
 
     def _bookkeeping(self) -> dict[str, Tensor]:
@@ -267,15 +267,15 @@ class EpisodeRunner:
     def set_state(self, state: dict[str, Tensor]) -> None:
         """Restore a :meth:`get_state`, of any engine: intrinsic parameters, simulation and bookkeeping.
 
-        The previous velocities may be missing: differences then start from the present state.
+        What the next state differentiates may be missing: differences then start from the present state.
 
         Raises:
             KeyError: if another entry is missing.
             ValueError: if an entry's shape does not fit.
         """
-        previous = {name: state[name] for name in self._reader.state if name in state}
+        previous = {name: state[name] for name in self._reader.unrecoverable if name in state}
         for name, value in self.get_state().items():
-            if name in self._reader.state and name not in previous:
+            if name in self._reader.unrecoverable and name not in previous:
                 continue
             if name not in state:
                 raise KeyError(f"the state lacks {name!r}; pass what get_state() returned")
@@ -295,4 +295,4 @@ class EpisodeRunner:
         self.engine.set_state(dict(state))
         self._reader.forget()
         for name, value in previous.items():
-            self._reader.state[name].copy_(value)
+            self._reader.unrecoverable[name].copy_(value)

@@ -71,16 +71,17 @@ class QuadrupedState:
 class StateExtractor:
     """Extractor of a :class:`QuadrupedState` from an engine, with differences to the previous one.
 
-    A task with its own state subclasses it: :meth:`gather` for more of the engine's tensors, :meth:`velocities_of`
-    for more velocities to differentiate, :meth:`parts` for more fields of ``state_type``, :attr:`state` for those
-    parts of the previous state that an engine's restored state does not give.
+    A task with its own state subclasses it: :meth:`gather` for more of the engine's tensors, :meth:`differentiated_of`
+    for more quantities to differentiate, :meth:`parts` for more fields of ``state_type``, :attr:`unrecoverable` for
+    those parts of the previous state that an engine's restored state does not give.
 
     Args:
         engine: any engine.
 
     Attributes:
         state_type: type of the states that :meth:`interpret` returns.
-        velocities: of the previous state, (N, V), for the next one's accelerations.
+        differentiated: velocities, and positions of feet, of the previous state, (N, V), to which the next one takes
+            differences.
     """
 
     state_type: ClassVar[type[QuadrupedState]] = QuadrupedState
@@ -92,11 +93,11 @@ class StateExtractor:
         self._joint_qpos, self._joint_dof = columns(layout.joint_qpos), columns(layout.joint_dof)
         self._actuators = columns(layout.actuators)
         self._sensors, self._foot_sizes = layout.sensors, layout.foot_sizes
-        self.velocities = self.velocities_of(self.gather())
+        self.differentiated = self.differentiated_of(self.gather())
 
     @property
-    def state(self) -> dict[str, Tensor]:
-        """Live parts of ``velocities``, by name, that :meth:`forget` cannot read from an engine's restored state.
+    def unrecoverable(self) -> dict[str, Tensor]:
+        """Live parts of ``differentiated``, by name, that :meth:`forget` cannot read from an engine's restored state.
 
         Such as sensor values: after a restore they are of the present, not of the start of the last substep.
         """
@@ -104,11 +105,11 @@ class StateExtractor:
 
     def forget(self, rows: Rows = slice(None)) -> None:
         """Restart the differences of ``rows`` from the present state, as after a reset."""
-        self.velocities[rows] = self.interpret(self.gather(rows), None)[1]
+        self.differentiated[rows] = self.interpret(self.gather(rows), None)[1]
 
     def read(self) -> QuadrupedState:
         """Return the state of all robots now; accelerations are differences to the previous one."""
-        state, self.velocities = self.interpret(self.gather(), self.velocities)
+        state, self.differentiated = self.interpret(self.gather(), self.differentiated)
         return state
 
     def gather(self, rows: Rows = slice(None)) -> SimulationSnapshot:
@@ -122,19 +123,19 @@ class StateExtractor:
             "torque_velocity": single(engine.torque_velocity[rows]),
         }
 
-    def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
-        """Return the velocities that the next state differentiates, (n, V): v_B and q̇ first."""
+    def differentiated_of(self, snapshot: SimulationSnapshot) -> Tensor:
+        """Return what the next state differentiates, (n, V): v_B and q̇ first."""
         qvel = snapshot["qvel"]
         return torch.cat([qvel[:, self._root_dof], qvel[:, self._joint_dof]], -1)
 
     def interpret(self, snapshot: SimulationSnapshot, previous: Tensor | None) -> tuple[QuadrupedState, Tensor]:
-        """Return the state of a snapshot, and its velocities; without side effects.
+        """Return the state of a snapshot, and what the next one differentiates; without side effects.
 
         Args:
             snapshot: of n robots.
-            previous: their velocities a control step ago, to which accelerations are differences; None: they are zero.
+            previous: :meth:`differentiated_of` it a control step ago; None: the rates are zero.
         """
-        now = self.velocities_of(snapshot)
+        now = self.differentiated_of(snapshot)
         rates = torch.zeros_like(now) if previous is None else (now - previous) / CONTROL_DT
         return self.state_type(**self.parts(snapshot, now, rates)), now
 
@@ -142,12 +143,12 @@ class StateExtractor:
         """Return the positions of the feet, m, (n, 4, 3)."""
         return _by_foot(snapshot["sensed"][:, self._sensors["foot_position"]], self._foot_sizes, torch.mean)
 
-    def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
+    def parts(self, snapshot: SimulationSnapshot, differentiated: Tensor, rates: Tensor) -> dict[str, Any]:
         """Return the fields of the state.
 
         Args:
             snapshot: of n robots.
-            velocities: :meth:`velocities_of` it, (n, V).
+            differentiated: :meth:`differentiated_of` it, (n, V).
             rates: their derivatives, (n, V).
         """
         qpos, qvel, sensed, sensors = snapshot["qpos"], snapshot["qvel"], snapshot["sensed"], self._sensors
@@ -158,13 +159,13 @@ class StateExtractor:
         foot_force = _by_foot(sensed[:, sensors["foot_force"]].neg(), self._foot_sizes, torch.sum)
         return {
             "position": qpos[:, self._root_qpos],
-            "velocity": velocities[:, :3],
+            "velocity": differentiated[:, :3],
             "acceleration": rates[:, :3],
             "rotation": rotation,
             "euler": euler_from_matrix(rotation),
             "angular_velocity": qvel[:, self._root_dof.stop : self._root_dof.stop + 3],
             "joint_position": joints,
-            "joint_velocity": velocities[:, 3:end],
+            "joint_velocity": differentiated[:, 3:end],
             "joint_acceleration": rates[:, 3:end],
             "torque": snapshot["torque"][:, self._actuators],
             "torque_velocity": snapshot["torque_velocity"],

@@ -11,7 +11,6 @@ from tensordict import NestedKey
 from torch import Tensor
 
 from torchrl_atr._compilation import compile_methods
-from torchrl_atr._errors import InputError
 from torchrl_atr.envs.tasks import memory_terms
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.finite import all_finite
@@ -20,6 +19,7 @@ from torchrl_atr.envs.tasks.reward_terms import RewardFunction
 from torchrl_atr.envs.tasks.sensor_errors import Draw, GroupErrors, columns_of
 from torchrl_atr.envs.tasks.state import QuadrupedState, SimulationSnapshot, StateExtractor
 from torchrl_atr.envs.tasks.task import Task
+from torchrl_atr.envs.tasks.term_checks import try_term
 
 Observed = dict[NestedKey, Tensor]
 Memory = dict[str, Tensor]
@@ -80,7 +80,7 @@ class TaskTerms:
         memory_terms.check(task.memory, context)
         context.memory = self.no_memory = memory_terms.started(task.memory, context)
         for name, termination in task.terminations.items():
-            _try_termination(name, termination, context)
+            try_term(f"the termination {name!r}", termination, context, tuple(context.terminated.shape), torch.bool)
         self.rewards = RewardFunction(task.rewards, context, task.tracking_rewards)
         self.observations = Observations(task.observations, context)
         self._columns = {key: columns_of(sizes) for key, sizes in self.observations.sizes.items()}
@@ -128,21 +128,21 @@ class TaskTerms:
     def first(
         self, snapshot: SimulationSnapshot, command: Tensor, x_int: Tensor, errors: Errors
     ) -> tuple[Observed, Tensor, Memory, Observed]:
-        """Return observations, velocities, memory and exact values of groups with errors, at the start of episodes.
+        """Return observations, what the next state differentiates, memory and exact values at the start of episodes.
 
         A function of the arguments alone, which can be compiled.
         """
-        state, velocities = self.extractor.interpret(snapshot, None)
+        state, differentiated = self.extractor.interpret(snapshot, None)
         action = torch.zeros(len(x_int), self.joints, dtype=torch.float32)
         context = self._context(state, command, action, action, {}, errors)
         context.memory = memory = memory_terms.started(self.task.memory, context)
         observed, exact = self._observed(context, x_int)
-        return observed, velocities, memory, exact
+        return observed, differentiated, memory, exact
 
     def evaluate(
         self,
         snapshot: SimulationSnapshot,
-        velocities: Tensor,
+        differentiated: Tensor,
         action: Tensor,
         previous_action: Tensor,
         memory: Memory,
@@ -151,11 +151,11 @@ class TaskTerms:
         diverged: Tensor,
         errors: Errors,
     ) -> tuple[StepOutcome, Tensor, Memory, Observed]:
-        """Return outcome, velocities, memory and exact values of groups with errors, after a control step.
+        """Return outcome, what the next state differentiates, memory and exact values after a control step.
 
         A function of the arguments alone, which can be compiled.
         """
-        state, velocities = self.extractor.interpret(snapshot, velocities)
+        state, differentiated = self.extractor.interpret(snapshot, differentiated)
         context = self._context(state, command, action, previous_action, memory, errors)
         context.terminated = diverged
         context.memory = memory = memory_terms.updated(self.task.memory, context)
@@ -168,7 +168,7 @@ class TaskTerms:
         finite = all_finite([*observed.values(), terms, reward])
         named = dict(zip(self.rewards.terms, terms.unbind()))
         outcome = StepOutcome(reward, named, context.terminated, causes, observed, finite)
-        return outcome, velocities, memory, exact
+        return outcome, differentiated, memory, exact
 
     def observe(self, command: Tensor, action: Tensor, memory: Memory, x_int: Tensor) -> Observed:
         """Return the present observations of all robots without sensor errors, by key, (N, features) each, SI units."""
@@ -182,14 +182,3 @@ class TaskTerms:
         observation = torch.cat([groups["proprio"], context.command], -1)  # o_t is proprioception and the command
         own = {"command": context.command.clone(), ("privileged", "intrinsic"): x_int, "observation": observation}
         return {**groups, **own}, exact
-
-
-def _try_termination(name: str, termination: Any, context: StepContext) -> None:
-    try:
-        value = termination(context)
-    except Exception as error:  # of the user's function
-        raise InputError(f"the termination {name!r} failed: {type(error).__name__}: {error}") from error
-    expected = tuple(context.terminated.shape)
-    if not isinstance(value, Tensor) or tuple(value.shape) != expected or value.dtype != torch.bool:
-        got = f"{tuple(value.shape)} of {value.dtype}" if isinstance(value, Tensor) else type(value).__name__
-        raise InputError(f"the termination {name!r} returned {got}; it must return bool of shape {expected}")

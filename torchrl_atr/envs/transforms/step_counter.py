@@ -44,7 +44,7 @@ class TimeLimitGrowth(NamedTuple):
 
 
 class RandomizedStepCounter(OwnGenerator, StepCounter):
-    """Step counter whose counts start anywhere below ``max_steps`` when all envs reset at once.
+    """Step counter whose counts start anywhere below the time limit then, ``limit``, when all envs reset at once.
 
     Robots that start together and do not fall end together, in all later episodes: a batch then is
     the same short part of every episode. An env that resets later counts from zero. TorchRL's

@@ -144,14 +144,14 @@ class EstimatorModule(TensorDictModuleBase):
         return self._write(ran, tensordict.empty()), losses
 
     def _run(self, tensordict: TensorDictBase, further: list[NestedKey] | None = None) -> TensorDictBase:
-        told = tensordict.empty()
+        net_input = tensordict.empty()
         for key in [*self.in_keys, *(further or ())]:
             value = tensordict.get(key, None)
             if value is None:
                 raise KeyError(self._missing(key))
             norm = self._norms[key]
-            told.set(key, value if norm is None else norm(value))
-        return self.net(told)
+            net_input.set(key, value if norm is None else norm(value))
+        return self.net(net_input)
 
     def _write(self, ran: TensorDictBase, tensordict: TensorDictBase) -> TensorDictBase:
         for key in self.out_keys:

@@ -51,7 +51,7 @@ def test_a_state_that_is_no_number_ends_the_episode_too(name, value):
     column = layout.root_qpos + 1 if name == "root_qpos" else layout.joint_dof[0]
     snapshot["qpos" if name == "root_qpos" else "qvel"][1, column] = value
     idle, still = torch.zeros(2, 12), torch.zeros(2, dtype=torch.bool)
-    before = runner.terms.extractor.velocities, idle, idle, runner.memory
+    before = runner.terms.extractor.differentiated, idle, idle, runner.memory
     outcome, *_ = runner.terms.evaluate(snapshot, *before, torch.zeros(2, 2), runner.x_int, still, {})
     assert outcome.terminated.tolist() == [False, True]
     assert not outcome.finite

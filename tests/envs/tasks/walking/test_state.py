@@ -23,7 +23,7 @@ def env():
 def read(env):
     """The state as it is now, without a change to the differences."""
     extractor = env.runner.terms.extractor
-    return extractor.interpret(extractor.gather(), extractor.velocities)[0]
+    return extractor.interpret(extractor.gather(), extractor.differentiated)[0]
 
 
 @pytest.mark.parametrize("yaw", [0.0, math.pi / 2, -math.pi / 2, 2.5])
@@ -76,7 +76,7 @@ def test_feet_that_stand_do_not_move_while_the_body_does_and_the_simulation_is_r
     before, fastest = env.engine.world_offset.clone(), 0.0
     for _ in range(8):
         extractor = env.runner.terms.extractor
-        previous = extractor.velocities.clone()
+        previous = extractor.differentiated.clone()
         env.step(STILL.clone())
         state, _ = extractor.interpret(extractor.gather(), previous)
         assert (state.contacts == 1).all()
@@ -96,10 +96,10 @@ def test_foot_velocities_are_blind_to_where_the_origin_is(env):
     moved = {name: value.clone() for name, value in here.items()}
     moved["world_offset"] += 100.0
     moved["sensed"][:, feet].unflatten(-1, (-1, 3))[..., :2] -= 100.0
-    state, _ = extractor.interpret(moved, extractor.velocities_of(here))
+    state, _ = extractor.interpret(moved, extractor.differentiated_of(here))
     assert state.foot_velocity.abs().max() < 2e-3
     moved["sensed"][:, feet] += 0.02 * torch.tensor([1.0, -2.0, 3.0]).repeat(4)
-    state, _ = extractor.interpret(moved, extractor.velocities_of(here))
+    state, _ = extractor.interpret(moved, extractor.differentiated_of(here))
     torch.testing.assert_close(state.foot_velocity, torch.tensor([1.0, -2.0, 3.0]).expand(2, 4, 3), atol=2e-3, rtol=0)
 
 
@@ -111,8 +111,8 @@ def test_a_state_without_the_feet_s_places_starts_their_differences_anew(env):
     state = env.get_state()
     env.set_state(state.exclude("foot_places"))
     extractor = env.runner.terms.extractor
-    torch.testing.assert_close(extractor.velocities, extractor.velocities_of(extractor.gather()))
+    torch.testing.assert_close(extractor.differentiated, extractor.differentiated_of(extractor.gather()))
     env.set_state(state)
-    assert torch.equal(extractor.velocities[:, -12:], state["foot_places"])
+    assert torch.equal(extractor.differentiated[:, -12:], state["foot_places"])
     with pytest.raises(ValueError, match="state entry 'foot_places' has shape"):
         env.set_state(state.clone().set("foot_places", torch.zeros(2, 3)))

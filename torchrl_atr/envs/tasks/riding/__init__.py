@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchrl_atr._checks import check_flag, check_number
+from torchrl_atr._checks import check_choice, check_flag, check_number
 from torchrl_atr._errors import InputError
 from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import RobotSpec, Transporter, TransporterSpec, get_robot, get_transporter
@@ -16,7 +16,7 @@ from torchrl_atr.envs.models.leg_kinematics import with_stance
 from torchrl_atr.envs.models.robot_file import describe_robot
 from torchrl_atr.envs.models.transporter import describe_transporter
 from torchrl_atr.envs.tasks import mirrors
-from torchrl_atr.envs.tasks.dead_reckoning import KEY, dead_reckoning
+from torchrl_atr.envs.tasks.dead_reckoning import KEY, METHODS, dead_reckoning
 from torchrl_atr.envs.tasks.events import Disturbance, Pushes
 from torchrl_atr.envs.tasks.parameters import Gains, gain_arguments, with_gains
 from torchrl_atr.envs.tasks.proprioception import PROPRIO
@@ -111,7 +111,7 @@ def riding(
     pushed = Pushes.of(pushes)
     moving_start = check_number("moving_start", moving_start, 0.0, 1.0)
     displaced_start = check_number("displaced_start", displaced_start, 0.0, 1.0)
-    dead_reckoned, velocity = dead_reckoning(velocity_filter)
+    dead_reckoned, velocity = dead_reckoning(check_choice("velocity_filter", velocity_filter, METHODS))
     interpretation = get_interpretation(profile)
     shares = _checked_stance(stance)
     rider = with_stance(with_gains(get_robot(robot), gains), *shares)
@@ -132,7 +132,9 @@ def riding(
         intrinsics=riding_intrinsics(rider, spec, interpretation),
         terminations=TERMINATIONS,
         reset=start(moving_start, displaced_start),
-        disturbances={} if pushed is None else {"push": Disturbance(partial(push, pushes=pushed), pushed.interval)},
+        disturbances={}
+        if pushed is None
+        else {"push": Disturbance(partial(push, pushes=pushed), pushed.interval, is_push=True)},
         memory={KEY: velocity},
         tracking_rewards=("forward_command", "steering_command"),
         state_extractor=RidingStateExtractor,

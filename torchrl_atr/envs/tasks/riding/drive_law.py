@@ -210,7 +210,7 @@ class DriveHook(SubstepHook):
         about_z.copy_(yaw_rate)
         engine.qfrc_applied[:, self._planar] = force.sub_(engine.qvel[:, self._planar]).mul_(self._inertia).div_(dt)
 
-    def lose(self, rows: Tensor) -> None:
+    def reset_diverged(self, rows: Tensor) -> None:
         """Set the speeds of simulations that diverged to zero."""
         self.speeds[rows] = 0.0
 

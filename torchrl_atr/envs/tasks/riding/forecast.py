@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from torchrl_atr.envs.tasks.common_rewards import tracking_kernel
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.mirrors import FORWARD_YAW
-from torchrl_atr.envs.tasks.tracking import tracking_kernel
 
 HORIZONS = (0.0, 0.5, 1.0, 2.0)
 """Horizons, s, at which the tracking kernels are evaluated."""

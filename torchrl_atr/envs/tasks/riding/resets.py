@@ -49,8 +49,8 @@ def start(moving: float = 0.0, displaced: float = 0.0) -> Reset:
     """Return the reset function: standing at rest in the middle, but for two shares of the starts, for training.
 
     Args:
-        moving: share of the starts that are on the move, in [0, 1].
-        displaced: share of those with the robot shifted and turned on the boards, in [0, 1].
+        moving: share of all starts that are on the move, in [0, 1].
+        displaced: share of all starts with the robot shifted and turned on the boards, in [0, 1]; drawn independently.
     """
     return partial(_start, moving, displaced) if moving > 0.0 or displaced > 0.0 else stand
 

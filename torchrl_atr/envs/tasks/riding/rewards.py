@@ -1,4 +1,4 @@
-"""Table III: eighteen reward terms of riding, each an unweighted function of the state with its weight."""
+"""Table III: r0 to r17 of riding, each an unweighted function of the state with its weight; r12 is three terms."""
 
 from __future__ import annotations
 
@@ -8,27 +8,23 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
+from torchrl_atr.envs.tasks.common_rewards import (
+    early_termination,
+    joint_power,
+    speed_tracking,
+    undesired_contact,
+    yaw_rate_tracking,
+)
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.reward_terms import TERMINATION, RewardTerm
 from torchrl_atr.envs.tasks.riding.state import RidingState
-from torchrl_atr.envs.tasks.state import CONTACT_THRESHOLD, GRAVITY
-from torchrl_atr.envs.tasks.tracking import tracking_kernel
+from torchrl_atr.envs.tasks.state import GRAVITY
 
 FORCE_TOLERANCE = 100.0
 """f_tol, N."""
 ROLLING = 0.05
-"""Speed of a foot's centre over the boards up to which it rolls and yields, m/s. A leg that leans moves it that fast:
-three quarters of the way that feet make while riding."""
-
-
-def forward_command(c: StepContext) -> Tensor:
-    """Compute r0: exp(-|v_P,x - c_v| / 0.5), with v in P_planar (the printed p is read as v, A7)."""
-    return tracking_kernel(c.state.speeds[:, 0] - c.command[:, 0])
-
-
-def steering_command(c: StepContext) -> Tensor:
-    """Compute r1: exp(-|ω_P,z - c_ω| / 0.5)."""
-    return tracking_kernel(c.state.speeds[:, 1] - c.command[:, 1])
+"""Slip speed of a foot's centre over the boards that is not penalised, m/s: a leaning leg rolls its foot this fast.
+Such rolling is three quarters of all foot travel while riding."""
 
 
 def position_alignment(c: StepContext) -> Tensor:
@@ -114,29 +110,14 @@ def postural_deviation(c: StepContext) -> Tensor:
     return (c.state.joint_position - c.action.new_tensor(c.robot.q0)).norm(dim=-1)
 
 
-def energy_efficiency(c: StepContext) -> Tensor:
-    """Compute r14: Σ max(τ_j q̇_j, 0), both of the same instant."""
-    return (c.state.torque * c.state.torque_velocity).clamp_min(0.0).sum(-1)
-
-
 def force_regulation(c: StepContext) -> Tensor:
     """Compute r15: Σ max(‖f_i‖ - f_tol, 0)."""
     return (c.state.foot_load - FORCE_TOLERANCE).clamp_min(0.0).sum(-1)
 
 
-def collision_avoidance(c: StepContext) -> Tensor:
-    """Compute r16: [something other than a foot touches the boards]."""
-    return (c.state.other_force.norm(dim=-1) > CONTACT_THRESHOLD).to(c.action.dtype)
-
-
 def foot_slip(c: StepContext) -> Tensor:
     """Compute Σ max(‖v_i,xy‖ - 0.05 m/s, 0) of the feet over the boards, a term that Table III lacks."""
     return (c.state.foot_slip - ROLLING).clamp(min=0.0).sum(-1)
-
-
-def termination(c: StepContext) -> Tensor:
-    """Compute r17: [early termination]."""
-    return c.terminated.to(c.action.dtype)
 
 
 _AROUND = torch.tensor([0, 2, 3, 1])
@@ -173,7 +154,10 @@ def outside_polygon(point: Tensor, feet: Tensor, contacts: Tensor | None = None)
 
 
 def zero_moment_point(state: RidingState) -> Tensor:
-    """Compute the ZMP on the plane of the feet from the body's acceleration, and the transporter's (A31), m, (N, 2)."""
+    """Compute the ZMP on the plane of the feet, m, (N, 2).
+
+    It is that of a point mass at the centre of mass that accelerates as the trunk does in the world frame (A31).
+    """
     height = state.com[:, 2] - state.foot_position[..., 2].mean(-1)
     vertical = (state.acceleration[:, 2] + GRAVITY).clamp_min(0.1 * GRAVITY)
     return state.com[:, :2] - (height / vertical).unsqueeze(-1) * state.acceleration[:, :2]
@@ -181,8 +165,8 @@ def zero_moment_point(state: RidingState) -> Tensor:
 
 RIDING_REWARDS: Mapping[str, RewardTerm] = MappingProxyType(
     {
-        "forward_command": RewardTerm(forward_command, 8.0, "r0"),
-        "steering_command": RewardTerm(steering_command, 8.0, "r1"),
+        "forward_command": RewardTerm(speed_tracking, 8.0, "r0"),
+        "steering_command": RewardTerm(yaw_rate_tracking, 8.0, "r1"),
         "position_alignment": RewardTerm(position_alignment, -30.0, "r2"),
         "heading_alignment": RewardTerm(heading_alignment, -4.0, "r3"),
         "com_stabilization": RewardTerm(com_stabilization, -1.0, "r4"),
@@ -197,13 +181,13 @@ RIDING_REWARDS: Mapping[str, RewardTerm] = MappingProxyType(
         "joint_velocity": RewardTerm(joint_velocity, -1e-4, "r12"),
         "joint_acceleration": RewardTerm(joint_acceleration, -1e-7, "r12"),
         "postural_deviation": RewardTerm(postural_deviation, -1e-2, "r13"),
-        "energy_efficiency": RewardTerm(energy_efficiency, -1e-4, "r14"),
+        "energy_efficiency": RewardTerm(joint_power, -1e-4, "r14"),
         "force_regulation": RewardTerm(force_regulation, -1e-2, "r15"),
-        "collision_avoidance": RewardTerm(collision_avoidance, -10.0, "r16"),
-        TERMINATION: RewardTerm(termination, -10.0, "r17"),
+        "collision_avoidance": RewardTerm(undesired_contact, -10.0, "r16"),
+        TERMINATION: RewardTerm(early_termination, -10.0, "r17"),
     }
 )
-"""Table III by name: k0 ... k19, the minus of r2 and r3 that is missing in print included (A8)."""
+"""Table III by name, 20 weighted terms k0 ... k19, the minus of r2 and r3 that is missing in print included (A8)."""
 
 STEADY: Mapping[str, float] = MappingProxyType(
     {"height_maintenance": 10.0, "body_orientation": 5.0, "body_velocity": 500.0, "postural_deviation": 20.0}

@@ -20,7 +20,7 @@ from torchrl_atr.envs.tasks.rotations import angular_velocity, matrix_from_euler
 from torchrl_atr.envs.tasks.state import QuadrupedState, Rows, SimulationSnapshot, StateExtractor, single
 
 _FEET = slice(-6 - 2 * len(LEGS), -6)
-"""Columns of the feet's places among the velocities."""
+"""Columns of the feet's places among what is differentiated."""
 
 
 @dataclass
@@ -97,9 +97,9 @@ class RidingStateExtractor(StateExtractor):
         return snapshot
 
     @property
-    def state(self) -> dict[str, Tensor]:
+    def unrecoverable(self) -> dict[str, Tensor]:
         """Places of the feet on the boards, live; see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
-        return {"foot_places": self.velocities[:, _FEET]}
+        return {"foot_places": self.differentiated[:, _FEET]}
 
     def interpret(self, snapshot: SimulationSnapshot, previous: Tensor | None) -> tuple[QuadrupedState, Tensor]:
         """Return the state of a snapshot; see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
@@ -108,7 +108,7 @@ class RidingStateExtractor(StateExtractor):
             now[:, _FEET] = self._foot_places(snapshot, age=0.0)
         return state, now
 
-    def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
+    def differentiated_of(self, snapshot: SimulationSnapshot) -> Tensor:
         """Return what the next state differentiates, (n, V): v_B, q̇, the feet's places on the boards, v_P and ω_P."""
         qvel = snapshot["qvel"]
         planar = qvel[:, self._planar_dof]
@@ -116,7 +116,7 @@ class RidingStateExtractor(StateExtractor):
         platform = pad(planar[:, :2], (0, 1))  # its height is constant
         turning = angular_velocity(self._platform_pose(snapshot["qpos"])[1], rates)
         places = self._foot_places(snapshot, self.engine.timestep)
-        return torch.cat([super().velocities_of(snapshot), places, platform, turning], -1)
+        return torch.cat([super().differentiated_of(snapshot), places, platform, turning], -1)
 
     def _platform_pose(self, qpos: Tensor) -> tuple[Tensor, Tensor]:
         """Return position, and roll, pitch and yaw of P, (n, 3) each."""
@@ -135,18 +135,18 @@ class RidingStateExtractor(StateExtractor):
         rotation = matrix_from_euler(*euler.unbind(-1)).unsqueeze(-3)
         return rotate_back(rotation, self.foot_positions(snapshot) - position.unsqueeze(-2))[..., :2].flatten(-2)
 
-    def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
+    def parts(self, snapshot: SimulationSnapshot, differentiated: Tensor, rates: Tensor) -> dict[str, Any]:
         """Return the fields of the state, see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
         position, euler = self._platform_pose(snapshot["qpos"])
         return {
-            **super().parts(snapshot, velocities, rates),
+            **super().parts(snapshot, differentiated, rates),
             "platform_position": position,
-            "platform_velocity": velocities[:, -6:-3],
+            "platform_velocity": differentiated[:, -6:-3],
             "platform_acceleration": rates[:, -6:-3],
             "platform_rotation": matrix_from_euler(*euler.unbind(-1)),
             "platform_euler": euler,
             "driving_tilt": combine(snapshot["qpos"][:, self._tilt_qpos], self._driving),
-            "platform_angular_velocity": velocities[:, -3:],
+            "platform_angular_velocity": differentiated[:, -3:],
             "platform_angular_acceleration": rates[:, -3:],
             "speeds": snapshot["speeds"],
             "driven_acceleration": snapshot["driven_acceleration"],

@@ -84,7 +84,9 @@ def walking(
             KEY: dead_reckoned,
             ("privileged", "extrinsic"): BODY,
             ("privileged", "tracking_forecast"): {
-                "errors": ObservationTerm(_errors, (*mirrors.FORWARD_YAW, -1.0, 1.0), unit="m/s"),
+                "errors": ObservationTerm(
+                    _errors, (*mirrors.FORWARD_YAW, -1.0, 1.0), unit=("m/s", "rad/s", "m/s", "m")
+                ),
                 "foot_height": ObservationTerm(_foot_height, mirrors.legs, parts=LEGS, unit="m"),
                 "air_time": ObservationTerm(_air_time, mirrors.legs, parts=LEGS, unit="s"),
             },
@@ -94,7 +96,7 @@ def walking(
         terminations={"tilted": tilted, "too_low": too_low},
         disturbances={}
         if pushed is None
-        else {"push": Disturbance(partial(push_robot, pushes=pushed), pushed.interval)},
+        else {"push": Disturbance(partial(push_robot, pushes=pushed), pushed.interval, is_push=True)},
         memory={KEY: integrated, **MEMORY},
         tracking_rewards=("forward_command", "turning_command"),
         state_extractor=WalkingStateExtractor,

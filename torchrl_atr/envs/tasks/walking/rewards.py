@@ -10,21 +10,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchrl_atr.envs.tasks.common_rewards import (
+    early_termination,
+    joint_power,
+    speed_tracking,
+    undesired_contact,
+    yaw_rate_tracking,
+)
 from torchrl_atr.envs.tasks.context import StepContext
 from torchrl_atr.envs.tasks.reward_terms import TERMINATION, RewardTerm
-from torchrl_atr.envs.tasks.state import CONTACT_THRESHOLD
-from torchrl_atr.envs.tasks.tracking import tracking_kernel
 from torchrl_atr.envs.tasks.walking.gait import gait, moving
-
-
-def forward_command(c: StepContext) -> Tensor:
-    """Compute exp(-|v - c_v| / 0.5)."""
-    return tracking_kernel(c.state.speeds[:, 0] - c.command[:, 0])
-
-
-def turning_command(c: StepContext) -> Tensor:
-    """Compute exp(-|ω - c_ω| / 0.5)."""
-    return tracking_kernel(c.state.speeds[:, 1] - c.command[:, 1])
 
 
 def speed_error(c: StepContext) -> Tensor:
@@ -62,11 +57,6 @@ def joint_torque(c: StepContext) -> Tensor:
     return c.state.torque.square().sum(-1)
 
 
-def joint_power(c: StepContext) -> Tensor:
-    """Compute Σ max(τ_j q̇_j, 0), both of the same instant."""
-    return (c.state.torque * c.state.torque_velocity).clamp_min(0.0).sum(-1)
-
-
 def joint_acceleration(c: StepContext) -> Tensor:
     """Compute ‖q̈‖²."""
     return c.state.joint_acceleration.square().sum(-1)
@@ -102,24 +92,14 @@ def slip(c: StepContext) -> Tensor:
     return (c.state.contacts * c.state.foot_velocity[..., :2].square().sum(-1)).sum(-1)
 
 
-def collision(c: StepContext) -> Tensor:
-    """Compute [something other than a foot touches the ground]."""
-    return (c.state.other_force.norm(dim=-1) > CONTACT_THRESHOLD).to(c.action.dtype)
-
-
-def termination(c: StepContext) -> Tensor:
-    """Compute [early termination]."""
-    return c.terminated.to(c.action.dtype)
-
-
 def _deviation(c: StepContext) -> Tensor:
     return c.state.joint_position - torch.tensor(c.robot.q0, dtype=c.action.dtype)
 
 
 WALKING_REWARDS: Mapping[str, RewardTerm] = MappingProxyType(
     {
-        "forward_command": RewardTerm(forward_command, 8.0),
-        "turning_command": RewardTerm(turning_command, 8.0),
+        "forward_command": RewardTerm(speed_tracking, 8.0),
+        "turning_command": RewardTerm(yaw_rate_tracking, 8.0),
         "speed_error": RewardTerm(speed_error, -4.0),
         "gait": RewardTerm(gait, 8.0),
         "lateral_speed": RewardTerm(lateral_speed, -8.0),
@@ -136,8 +116,8 @@ WALKING_REWARDS: Mapping[str, RewardTerm] = MappingProxyType(
         "standing_posture": RewardTerm(standing_posture, -4.0),
         "standing_feet": RewardTerm(standing_feet, -1.0),
         "slip": RewardTerm(slip, -1.6),
-        "collision": RewardTerm(collision, -8.0),
-        TERMINATION: RewardTerm(termination, -50.0),
+        "collision": RewardTerm(undesired_contact, -8.0),
+        TERMINATION: RewardTerm(early_termination, -50.0),
     }
 )
 """Terms by name, of a robot of an A1's size."""

@@ -54,19 +54,19 @@ class WalkingStateExtractor(StateExtractor):
         return {**super().gather(rows), "world_offset": single(self.engine.world_offset[rows])}
 
     @property
-    def state(self) -> dict[str, Tensor]:
+    def unrecoverable(self) -> dict[str, Tensor]:
         """World positions of the feet, live; see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
-        return {"foot_places": self.velocities[:, -12:]}
+        return {"foot_places": self.differentiated[:, -12:]}
 
-    def velocities_of(self, snapshot: SimulationSnapshot) -> Tensor:
-        """Return the velocities that the next state differentiates, with the feet's world positions at the end."""
+    def differentiated_of(self, snapshot: SimulationSnapshot) -> Tensor:
+        """Return what the next state differentiates, with the feet's world positions at the end."""
         places = self.foot_positions(snapshot)
         places = torch.cat([places[..., :2] + snapshot["world_offset"].unsqueeze(-2), places[..., 2:]], -1)
-        return torch.cat([super().velocities_of(snapshot), places.flatten(-2)], -1)
+        return torch.cat([super().differentiated_of(snapshot), places.flatten(-2)], -1)
 
-    def parts(self, snapshot: SimulationSnapshot, velocities: Tensor, rates: Tensor) -> dict[str, Any]:
+    def parts(self, snapshot: SimulationSnapshot, differentiated: Tensor, rates: Tensor) -> dict[str, Any]:
         """Return the fields of the state, see :class:`~torchrl_atr.envs.tasks.state.StateExtractor`."""
-        parts = super().parts(snapshot, velocities, rates)
+        parts = super().parts(snapshot, differentiated, rates)
         along = heading_frame(parts["euler"], parts["velocity"])
         yaw_rate = (parts["rotation"][:, 2] * parts["angular_velocity"]).sum(-1)
         return {
