@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 import torch
 from tensordict.nn import TensorDictModule
-from torchrl.envs import TransformedEnv
+from torchrl.envs import Compose, TransformedEnv
 
 from torchrl_atr.envs import make_env
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks import riding, walking
 from torchrl_atr.envs.tasks.events import Disturbance
-from torchrl_atr.envs.transforms import task_transforms
+from torchrl_atr.envs.transforms import CommandCurriculum, CommandGrid, task_transforms
 from torchrl_atr.evaluation import endurance_log, evaluate_endurance
 from torchrl_atr.evaluation import ride as ride_module
 from torchrl_atr.evaluation.access import ended_by
 from torchrl_atr.modules import make_networks
 
-from .conftest import puppet_env
+from .conftest import PuppetEnv, puppet_env
 
 
 def still(observation):
@@ -109,6 +109,19 @@ def test_a_ride_beyond_any_command_counts_as_a_fall(endure):
         assert result.fall_time[1] == pytest.approx(0.5)
     assert endure(act([3.9, 2.9])).survived.all()
     assert endure(act([9.0, 9.0]), overspeed=None).survived.all()
+
+
+def test_what_is_too_fast_goes_by_the_largest_command_also_where_none_goes_backwards(endure):
+    """Commands from 0 to 1.5 m/s with a margin of 2 m/s: a fall is beyond 3.5 m/s."""
+
+    def forward_env(num_envs, seed):
+        commands = CommandCurriculum((1.0, 1.0), grid=CommandGrid(forward_only=True), seed=seed)
+        return TransformedEnv(PuppetEnv(num_envs, seed), Compose(commands))
+
+    for speed, causes in ((3.4, [""] * 2), (3.6, ["", "overspeed"])):
+        result = endure(falls_at([None, 4], [speed, 0.0]), robots=2, make_env=forward_env, max_speed=1.5)
+        assert result.bounds[:, 0].tolist() == [0.0, 1.5]
+        assert result.fall_cause.tolist() == causes
 
 
 def test_pushes_are_dated(endure, monkeypatch):

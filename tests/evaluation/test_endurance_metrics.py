@@ -11,7 +11,7 @@ from torchrl_atr.cli.printing import endurance_lines
 from torchrl_atr.evaluation import endurance_metrics, load_endurance, save_endurance, write_endurance
 from torchrl_atr.evaluation.access import Component
 from torchrl_atr.evaluation.endurance_figure import plot_endurance
-from torchrl_atr.evaluation.endurance_metrics import survival_over_time
+from torchrl_atr.evaluation.endurance_metrics import compare_fallen, errors_over_time, survival_over_time
 from torchrl_atr.evaluation.intervals import wilson
 
 CAUSES = ["", "tilted", "tilted", "overspeed"]
@@ -78,6 +78,26 @@ def test_the_fallen_beside_the_others(result):
     at_fall = np.abs(result.commands[[0, 1, 3], [1, 2, 3]])
     assert fallen["speed_command"]["fallen"] == pytest.approx(at_fall[:, 0].mean())
     assert fallen["yaw_command"]["all"] == pytest.approx(np.abs(result.commands[..., 1]).mean())
+
+
+def test_a_fall_at_the_very_end_of_a_command_is_of_that_command(result):
+    speeds = np.arange(1.0, 5.0)[:, None] + 10.0 * np.arange(4.0)
+    ends = replace(result, commands=np.stack([speeds, -speeds], -1), fall_time=np.array([np.nan, 1.0, 2.0, 4.0]))
+    assert compare_fallen(ends)["speed_command"]["fallen"] == pytest.approx((11 + 22 + 34) / 3)
+
+
+def test_the_interval_of_a_difference_of_the_fallen_by_hand(result):
+    """Standard errors of two values are half their distance: 3 of the fallen, 4 of the others, 5 together."""
+    spread = np.array([[-4.0], [4.0], [0.0], [6.0]])
+    falls = np.array([np.nan, np.nan, 1.5, 3.5])
+    ends = replace(result, fall_time=falls, intrinsics=spread, intrinsic_names=("payload",))
+    payload = compare_fallen(ends)["intrinsics"]["payload"]
+    assert payload["difference"] == pytest.approx(3.0)
+    assert payload["difference_interval"] == pytest.approx([3.0 - 1.96 * 5.0, 3.0 + 1.96 * 5.0])
+
+
+def test_the_last_second_of_a_ride_may_be_shorter(result):
+    assert errors_over_time(replace(result, seconds=3.7))["seconds"] == pytest.approx([0.5, 1.5, 2.5, 3.35])
 
 
 def test_settled_errors_are_means_over_steps(result):

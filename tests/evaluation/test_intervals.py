@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from torchrl_atr.evaluation.intervals import bootstrap, pooled_mean, wilson
+from torchrl_atr.evaluation.intervals import bootstrap, bootstrap_difference, pooled_mean, welch_difference, wilson
 
 
 @pytest.mark.parametrize(("count", "n"), [(0, 20), (51, 100), (200, 200), (1, 3)])
@@ -43,3 +43,16 @@ def test_few_robots_among_many_have_an_interval():
     assert 1.0 <= low < 2.0 < high <= 3.0
     assert np.isnan(bootstrap(np.zeros(5), np.zeros(5))).all()
     assert bootstrap(np.zeros((0, 2, 5)), np.zeros((0, 2, 5)))[0].shape == (0, 2)
+
+
+def test_the_bootstrap_of_a_difference_divides_each_sample_by_its_own_size():
+    difference, interval = bootstrap_difference(np.full(2, 2.0), np.full(5, 1.0))
+    assert (difference, *interval) == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_welchs_interval_of_unequal_samples_by_hand():
+    """Squared errors of the means are 1/2 and 1: (1/2 + 1)² / ((1/2)²/1 + 1²/2) is 3 degrees of freedom."""
+    difference, interval = welch_difference(5.0 + np.sqrt(0.5) * np.array([-1.0, 1.0]), np.array([0.0, 0.0, 3.0]))
+    half = 3.182446305 * np.sqrt(1.5)
+    assert difference == pytest.approx(4.0)
+    assert interval == pytest.approx((4.0 - half, 4.0 + half))

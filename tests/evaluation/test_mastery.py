@@ -40,6 +40,11 @@ def test_a_few_commands_in_it_may_fail(evaluate):
     assert mastered_range(result, share=1.0) == CommandRange(4.0, 1.0, 0.0)
 
 
+def test_turns_that_all_fail_are_left_out_though_the_share_would_let_them_pass(evaluate):
+    result = evaluate(falls_where(lambda c: c.prod(-1) > 3.5), COMMANDS)  # 4 of 81, those of 4 m/s²
+    assert mastered_range(result, share=0.95) == CommandRange(4.0, 1.0, 3.0)
+
+
 def test_a_range_of_forward_commands_alone_passes_none_backwards(evaluate):
     mastered = mastered_range(evaluate(lambda command: command, (np.arange(0.0, 3.0), COMMANDS[1])))
     assert mastered == CommandRange(2.0, 1.0, 2.0, forward_only=True)

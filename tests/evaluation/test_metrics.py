@@ -102,6 +102,12 @@ def test_a_command_is_mastered_if_most_of_its_robots_stay_up_and_settle_near_it(
     assert tracking_metrics(changed)["do_nothing"]["commands_mastered"] == 0.25
 
 
+def test_half_of_the_robots_are_not_most(evaluate):
+    result = evaluate(lambda command: command, commands=([0.0], [0.0]), robots=2)
+    half = replace(result, fall_time=np.array([[[1.9, np.nan]]]))
+    assert tracking_metrics(half)["commands_mastered"] == 0.0
+
+
 def test_the_area_is_of_the_box(evaluate):
     area = command_area(evaluate(lambda command: command))
     assert area["total"] == pytest.approx(3.0 * 1.0)

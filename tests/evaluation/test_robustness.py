@@ -14,7 +14,7 @@ from torchrl_atr.cli.printing import robustness_lines
 from torchrl_atr.envs import make_riding_env, riding
 from torchrl_atr.envs.tasks.intrinsic_parameters import IntrinsicParameter
 from torchrl_atr.evaluation import conditions, robustness
-from torchrl_atr.evaluation.conditions import BASELINE, sweeps_of
+from torchrl_atr.evaluation.conditions import BASELINE, Sweep, sweeps_of
 from torchrl_atr.evaluation.robustness import evaluate_robustness, robustness_table
 from torchrl_atr.evaluation.robustness_figure import plot_robustness
 
@@ -101,6 +101,22 @@ def row(value, region, up):
     ends = {f"{name}_interval": [0.05, 0.4] for name in figures}
     up = {"survival": up, "survival_interval": [max(0.0, up - 0.1), min(1.0, up + 0.1)]}
     return {"value": value, "region": region, "n": 20, **up, **figures, **ends}
+
+
+def test_where_it_breaks_is_next_to_the_training_range_on_both_sides():
+    shares = {0.2: 0.0, 0.5: 0.2, 0.8: 0.9, 1.6: 0.3, 2.0: 0.1}
+    rows = [{"value": value, "survival": up} for value, up in shares.items()]
+    assert robustness.breaks_at(rows, 0.9, (0.8, 1.2)) == [0.5, 1.6]
+
+
+def test_broken_is_less_than_half_of_those_up_in_training():
+    """Of 60 % in training half is 30 %: 40 % is not broken, 20 % is."""
+    rows = [
+        {"condition": {"parameter": parameter, "value": value, "region": ""}, "n": 10, "survival": up}
+        for parameter, value, up in ((BASELINE, "training", 0.6), ("payload", 3.0, 0.4), ("payload", 5.0, 0.2))
+    ]
+    metrics = robustness.robustness_metrics(rows, {"payload": Sweep("payload", "kg", (), (0.0, 1.0))}, {})
+    assert metrics["parameters"]["payload"]["breaks_at"] == [5.0]
 
 
 def test_the_report_says_and_shows_where_it_breaks(tmp_path):

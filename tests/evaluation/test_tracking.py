@@ -10,6 +10,7 @@ from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.transforms import task_transforms
 from torchrl_atr.evaluation import command_grid, evaluate_tracking
 from torchrl_atr.evaluation import ride as ride_module
+from torchrl_atr.evaluation.tracking import summarise
 from torchrl_atr.modules import make_networks
 
 from .conftest import PuppetEnv, policy_of, puppet_env
@@ -51,6 +52,14 @@ def test_errors_by_hand(evaluate):
     np.testing.assert_allclose(result.settled_speed_error, 0, atol=1e-7)
     np.testing.assert_allclose(result.rms_yaw_error, 0.25, rtol=1e-6)
     np.testing.assert_allclose(result.settled_yaw_error, 0.25, rtol=1e-6)
+
+
+def test_errors_of_either_sign_do_not_cancel():
+    measured = np.array([[[1.0, -0.5]], [[-1.0, 0.5]]] * 2)
+    figures = summarise(measured, np.ones((5, 1), dtype=bool), [[0.0, 0.0]], 0.02, 0)
+    assert figures["settled_speed_error"] == figures["rms_speed_error"] == [1.0]
+    assert figures["settled_yaw_error"] == [0.5]
+    assert figures["settled_speed"] == figures["settled_yaw_rate"] == [0.0]
 
 
 def test_a_fall_ends_a_trials_figures(evaluate):
