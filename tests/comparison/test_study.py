@@ -9,12 +9,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from torchrl_atr.cli import main
 from torchrl_atr.comparison import CompareOptions, ComparisonError, Study, load_recording, record, study
 from torchrl_atr.comparison import recording as recording_module
 from torchrl_atr.comparison.fitting import config_with, estimator_weights, networks_with
-from torchrl_atr.comparison.recording import Window
+from torchrl_atr.comparison.recording import AGE, Window
 from torchrl_atr.comparison.summary import by_history
 from torchrl_atr.modules.estimators import _ESTIMATORS
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, Trainer, load_run, make_config, make_env
@@ -167,6 +168,15 @@ def test_a_recording_holds_rides_as_the_estimators_meet_them(loaded, tmp_path, m
         whole = make_env(config_with(config, "mlp", length), num_envs=1, seed=0, **DEPLOYMENT_OVERRIDES)
         assert whole.observation_spec["history"].shape[-2:] == longer.shape[-2:]
     assert torch.equal(longer[..., 0, :][age < 25], observation[first][_ride_of(first)][age < 25])
+
+
+@pytest.mark.parametrize(("current", "histories"), [(False, [[0, 0, 1], [3, 3, 3]]), (True, [[0, 1, 2], [3, 3, 4]])])
+def test_the_newest_row_of_a_history_is_the_observation_itself_only_if_asked_for(current, histories):
+    """Two rides of three steps each; their last step and the second one of the other."""
+    steps = torch.arange(6).reshape(1, 6, 1)
+    data = TensorDict({"observation": steps, AGE: steps % 3}, [1, 6])
+    taken = Window(3, current, "observation", "history").take(data, torch.tensor([0]), torch.tensor([2, 4]))
+    assert taken["history"].squeeze(-1).tolist() == histories
 
 
 def _ride_of(first):

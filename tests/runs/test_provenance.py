@@ -1,4 +1,4 @@
-"""Provenance: the commit of the clone beside every figure."""
+"""Provenance: the commit of the clone beside every figure, and what it took."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from functools import partial
 import pytest
 
 import torchrl_atr
+from torchrl_atr.config import make_config
 from torchrl_atr.runs import provenance
 
 
@@ -34,3 +35,8 @@ def test_a_clone_has_its_commit_and_a_mark_if_files_were_changed(package):
     assert provenance.machine()["versions"]["commit"] == head[:12]
     file.write_text("two")
     assert provenance.machine()["versions"]["commit"] == f"{head[:12]}+"
+
+
+@pytest.mark.parametrize(("seconds", "minutes"), [(120.0, 2.0), (90.0, 1.5), (1.0, 0.02)])
+def test_seconds_are_told_in_minutes(tmp_path, seconds, minutes):
+    assert provenance.provenance(make_config(), tmp_path, None, 0, seconds)["minutes"] == minutes
