@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 import shapely
 
-from torchrl_atr.navigation import Map, MapError, Path, PathError, plan, plan_all
+from torchrl_atr.navigation import Map, MapError, Path, PathError, paths, plan, plan_all
 from torchrl_atr.navigation.paths import STEP, rectangles, swept
 from torchrl_atr.navigation.places import draw_places
 
@@ -63,6 +65,28 @@ def test_an_unreachable_goal_says_what_to_change():
     walled = Map("walled", shapely.box(0, 0, 30, 20), (shapely.box(14, 0, 16, 20),))
     with pytest.raises(PathError, match=r"no path from \(5, 5\) to \(25, 5\) .* choose another goal"):
         plan(walled, (5.0, 5.0), (25.0, 5.0), 2.0, BOARD, iterations=30)
+
+
+def searched(monkeypatch, points):
+    """Let the planner find these points."""
+    monkeypatch.setattr(paths, "_search", lambda *_: points)
+    return partial(plan, start=tuple(points[0]), goal=tuple(points[-1]), footprint=BOARD)
+
+
+def test_a_curve_that_is_too_tight_is_no_path(monkeypatch):
+    """A half circle of 2 m is refused for turns of 3 m, and does for those of 1.5 m."""
+    angle = np.linspace(0.0, np.pi, 100)
+    find = searched(monkeypatch, 8.0 + 2.0 * np.stack([np.cos(angle), np.sin(angle)], -1))
+    assert np.abs(find(YARD, turning_radius=1.5).curvature).max() > 1.0 / 3.0
+    with pytest.raises(PathError, match=r"no path .* that a smooth curve with turns of 3 m can follow"):
+        find(YARD, turning_radius=3.0)
+
+
+def test_a_curve_through_an_obstacle_is_no_path(monkeypatch):
+    find = searched(monkeypatch, np.linspace([5.0, 5.0], [25.0, 5.0], 100))
+    assert find(Map("empty", YARD.outline), turning_radius=2.0).length == pytest.approx(20.0)
+    with pytest.raises(PathError, match=r"no path .* that a smooth curve with turns of 2 m can follow"):
+        find(YARD, turning_radius=2.0)
 
 
 def test_drawn_places_are_free_far_apart_and_repeatable():

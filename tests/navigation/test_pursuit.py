@@ -100,6 +100,33 @@ def test_a_path_that_crosses_itself_is_followed_in_order():
     assert pursuit.progress[0] > len(eight.points) / 2
 
 
+def test_the_arc_to_a_goal_that_is_near_is_no_tighter_than_that_to_the_least_distance():
+    """0.1 m before the goal and 0.1 m beside the path: κ = 2 y / L² with L = 1 m, at √(2 a 0.1 m)."""
+    short = Path.through(np.linspace([0.0, 0.0], [1.5, 0.0], 4))
+    config = PursuitConfig(min_look_ahead=1.0, deceleration=0.5)
+    ((speed, rate),) = PurePursuit([short], config).command(np.array([[1.4, 0.1, 0.0]]))
+    assert speed == pytest.approx(np.sqrt(0.1), rel=0.02)
+    assert rate == pytest.approx(-0.2 * speed, rel=0.02)
+
+
+def test_a_yaw_that_is_given_within_half_a_turn_is_the_same_yaw():
+    west = Path.through(np.linspace([0.0, 0.0], [-5.0, 0.0], 4))
+    whole, wrapped = (PurePursuit([west], PursuitConfig(response=2.0)) for _ in range(2))
+    for yaw in np.pi + 0.01 * np.arange(-4.5, 5.0):
+        pose = np.array([[0.0, 0.1, yaw]])
+        within = pose - [0.0, 0.0, 2.0 * np.pi * (yaw > np.pi)]
+        np.testing.assert_allclose(wrapped.command(within), whole.command(pose), atol=1e-9)
+
+
+def test_it_brakes_by_where_it_is_not_by_where_it_will_be():
+    """3 m before the goal at 1 m/s, with a response of 2 s: √(2 a 3 m)."""
+    path = Path.through(np.linspace([0.0, 0.0], [4.0, 0.0], 4))
+    pursuit = PurePursuit([path], PursuitConfig(speed=1.0, response=2.0, deceleration=0.1))
+    for x in np.linspace(0.0, 1.0, 51):  # 0.02 m in each step
+        ((speed, _),) = pursuit.command(np.array([[x, 0.0, 0.0]]))
+    assert speed == pytest.approx(np.sqrt(2.0 * 0.1 * 3.0), rel=0.02)
+
+
 def test_wrong_numbers_are_named():
     with pytest.raises(InputError, match="speed"):
         PursuitConfig(speed=0.0)
