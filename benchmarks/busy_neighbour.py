@@ -21,6 +21,7 @@ from typing import Any
 from benchmarks import results
 from torchrl_atr._cpus import available_cpus
 from torchrl_atr._files import say
+from torchrl_atr.runs.files import LOG
 from torchrl_atr.runs.provenance import machine
 
 _BUSY = [sys.executable, "-c", "while True: pass"]
@@ -53,7 +54,7 @@ def train(folder: Path, minutes: float, count: int = 1) -> float:
 
 
 def _speed(run: Path) -> float:
-    with (run / "progress.csv").open(newline="", encoding="utf-8") as file:
+    with (run / LOG).open(newline="", encoding="utf-8") as file:
         rows = [(float(row["minutes"]), float(row["frames"])) for row in csv.DictReader(file)]
     (began, before), *_ = [row for row in rows if row[0] >= _WARM_UP]
     ended, after = rows[-1]

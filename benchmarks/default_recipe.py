@@ -1,6 +1,6 @@
 """Training of the default recipe from scratch with several seeds, and evaluation of each deployed policy.
 
-``python -m benchmarks.default_recipe`` continues where it was stopped. The README's results are its report.
+``python -m benchmarks.default_recipe`` continues where it was stopped.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from tensordict import TensorDict
 
 from benchmarks import results
 from torchrl_atr._files import say
-from torchrl_atr.envs import ROBOTS, RidingEnv, get_interpretation
+from torchrl_atr.envs import ROBOTS, RidingEnv, get_interpretation, get_transporter
 from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.runs.provenance import machine
@@ -120,7 +120,8 @@ def table(report: dict[str, Any]) -> str:
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for robot, transporter, scaled, wide in dict.fromkeys(key[:4] for key in found):
-        springs = "as printed" if not scaled or ROBOTS.get(robot).group == "G1" else "five times"
+        scale = get_transporter(transporter, ROBOTS.get(robot)).spring_scale if scaled else 1.0
+        springs = "as printed" if scale == 1.0 else f"{scale:g} times"
         shares = (f"{found[robot, transporter, scaled, wide, *condition]:.1%}" for condition in CONDITIONS)
         stance = "wide" if wide else "own"
         lines.append(f"| {robot} | {transporter} | {springs} | {stance} | {' | '.join(shares)} |")

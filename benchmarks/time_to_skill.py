@@ -20,6 +20,7 @@ from benchmarks import results
 from torchrl_atr._files import say, write_json
 from torchrl_atr.evaluation import command_grid, evaluate_tracking, tracking_metrics
 from torchrl_atr.runs.checkpoint import NAME
+from torchrl_atr.runs.files import ORIGIN
 from torchrl_atr.runs.provenance import cores, machine
 from torchrl_atr.training import DEPLOYMENT_OVERRIDES, TrainConfig, Trainer, load_checkpoint, make_config, make_env
 
@@ -31,14 +32,13 @@ RECIPE = {
     "total_frames": 14_000_000,
     "curriculum.max_speed": 3.0,
     "curriculum.max_yaw_rate": 1.4,
-    "task.moving_start": 0.5,
     "exploration.anneal_from": 0.5,
     "exploration.anneal_until": 0.8,
     "exploration.final_std": 0.08,
     "task.steering_weight_peak": 3.0,
 }
-"""Differences from the default recipe: commands stay near those of the bar, more robots start from rest, where most
-falls happen, and the steering reward has a larger weight until steering, the last skill, is learned."""
+"""Differences from the default recipe: commands stay near those of the bar, and the steering reward has a larger weight
+until steering, the last skill, is learned."""
 
 NOTES = "evaluations.json"
 """Name of the file in a run's folder."""
@@ -116,7 +116,7 @@ def finished_runs(runs: Path) -> list[dict[str, Any]]:
     """Return seed, hardware and evaluations of every run in a folder, whichever call made it."""
     found = []
     for notes in sorted(runs.glob(f"*/{NOTES}")):
-        origin = json.loads((notes.parent / "run.json").read_text(encoding="utf-8"))
+        origin = json.loads((notes.parent / ORIGIN).read_text(encoding="utf-8"))
         evaluations = json.loads(notes.read_text(encoding="utf-8"))
         found.append({"seed": origin["seed"], "hardware": origin["hardware"], "evaluations": evaluations})
     return found

@@ -24,6 +24,7 @@ from torchrl_atr.deploy.manifest import MANIFEST, POLICY, BundleError, is_bundle
 from torchrl_atr.envs import ROBOTS
 from torchrl_atr.envs.models import TRANSPORTER_DESIGNS
 from torchrl_atr.evaluation.intervals import share_text, wilson
+from torchrl_atr.runs.files import ORIGIN
 from torchrl_atr.runs.provenance import cores, machine
 from torchrl_atr.training import TrainConfig, make_config
 
@@ -134,7 +135,7 @@ def _packed(pair: Pair) -> bool:
         return False
     packed = (pair.bundle / MANIFEST).stat().st_mtime
     swept = [file.stat().st_mtime for name in (_ROBUST, _OTHERS) if (file := pair.run / name).is_file()]
-    same = manifest["training"] == read_report(pair.run / "run.json") and manifest["figures"] == figures(pair.run)
+    same = manifest["training"] == read_report(pair.run / ORIGIN) and manifest["figures"] == figures(pair.run)
     return same and packed >= max(swept, default=0.0)
 
 

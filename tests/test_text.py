@@ -145,7 +145,7 @@ def test_training_that_is_stopped_says_how_to_go_on(capsys):
 
 
 def test_what_comes_next_fits_the_policy():
-    teacher, walker = next_commands(Path("runs/x"), teacher=True), next_commands(Path("runs/x"), riding=False)
+    teacher, walker = next_commands(Path("runs/x"), teacher=True), next_commands(Path("runs/x"), task="balance")
     assert teacher[1].split("#")[0].strip() == "torchrl-atr evaluate runs/x --act-source privileged"
     for lines in (teacher, walker):
         assert not any(" export " in line for line in lines)

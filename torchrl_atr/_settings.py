@@ -34,7 +34,7 @@ class Setting:
         question: number of the open question of the paper that it answers, such as ``"A9"``.
         addition: what it adds to the paper's method, in a few words; ``off`` turns that off in all presets.
         alias: short option of the command line, without dashes.
-        presets: its values in named presets; the default's in others.
+        presets: its values in presets, by name, or under ``off`` in all but ``default``; else the default's.
         path, default, kind, text: dotted name, default, type and docstring, once it is part of a configuration.
     """
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from torchrl_atr._errors import InputError
-from torchrl_atr.deploy import Imu, PolicyRunner, without_gravity
+from torchrl_atr.deploy import Imu, PolicyRunner, RobotState, run_policy, without_gravity
 from torchrl_atr.deploy.manifest import EPISODE
-from torchrl_atr.deploy.readings import Units
+from torchrl_atr.deploy.readings import UnitCheck
 from torchrl_atr.deploy.runner import OnnxPolicy
 
 AT_REST = Imu(np.zeros(3), np.zeros(3), np.zeros(2))
@@ -151,7 +151,7 @@ DEGREES = [
 @pytest.mark.parametrize(("wrong", "message"), DEGREES)
 def test_degrees_that_look_like_radians_are_recognised_by_their_rates(wrong, message):
     """A sway of 0.15 rad at 0.5 Hz; the joints alike."""
-    units, dt = Units(0.02), 0.02
+    units, dt = UnitCheck(0.02), 0.02
 
     def ride():
         for step in range(100):
@@ -208,3 +208,29 @@ def test_gravity_is_subtracted_in_the_frame_of_the_body():
     rotation = np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
     measured = rotation.T @ (np.array([1.0, 2.0, 3.0]) + (0.0, 0.0, 9.81))
     np.testing.assert_allclose(rotation @ without_gravity(measured, roll, pitch), (1.0, 2.0, 3.0), atol=1e-12)
+
+
+def test_a_step_that_comes_at_a_wrong_rate_changes_nothing(runner, q0):
+    for time in 0.02 * np.arange(50):
+        step(runner, q0, time=time)
+    for _ in range(2):  # the second one is not called out of order
+        with pytest.raises(InputError, match="the last 50 steps came every"):
+            step(runner, q0, time=2.0)
+    step(runner, q0, time=1.0)
+
+
+def test_a_robot_whose_readings_fail_is_damped(runner, q0):
+    sent = []
+
+    class Failing:
+        def read(self):
+            positions = q0 if len(sent) < 2 else q0 * np.nan
+            return RobotState(0.02 * len(sent), AT_REST, positions, np.zeros(12))
+
+        def send(self, command):
+            sent.append(command)
+
+    with pytest.raises(InputError, match="joint_positions"):
+        run_policy(runner, Failing(), lambda time: (0.0, 0.0), 1.0)
+    assert [float(command.gains.kp.max()) for command in sent] == [40.0, 40.0, 0.0]
+    assert sent[-1].gains.kd.tolist() == [1.0] * 12

@@ -101,8 +101,10 @@ def _train(trainer: Trainer) -> int:
     if signal is not None:
         say(f"go on with: torchrl-atr train --resume {run}")
     teacher = getattr(trainer.learner.networks, "is_teacher", False)
-    riding = trainer.config.task.name == "riding"
-    say("\n".join([*run_figures(trainer.run / "progress.csv"), *next_commands(trainer.run, teacher, riding)]))
+    from torchrl_atr.runs.files import LOG
+
+    following = next_commands(trainer.run, trainer.config.task.name, teacher)
+    say("\n".join([*run_figures(trainer.run / LOG), *following]))
     return 0 if signal is None else 128 + signal
 
 
@@ -111,6 +113,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     from functools import partial
 
     from torchrl_atr.evaluation import run_figures
+    from torchrl_atr.runs.files import LOG
     from torchrl_atr.training import DEPLOYMENT_OVERRIDES, load_run, make_env
 
     fill_options(arguments)
@@ -144,8 +147,8 @@ def evaluate(arguments: argparse.Namespace) -> None:
         metrics["run"] = state["provenance"]
         with whole(output) as folder:
             measured.write(folder)
-            if (arguments.run / "progress.csv").is_file():
-                run_figures.plot_learning_curves(arguments.run / "progress.csv", folder / "learning_curves.png")
+            if (arguments.run / LOG).is_file():
+                run_figures.plot_learning_curves(arguments.run / LOG, folder / "learning_curves.png")
             if state["curriculum"] is not None:
                 weights = state["curriculum"]["weights"]
                 run_figures.plot_curriculum(weights, env.curriculum.grid.bounds, folder / "curriculum.png")

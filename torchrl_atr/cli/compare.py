@@ -35,7 +35,7 @@ def add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=number_in(float, 0.1, 86400), help="of the recording and a ride; default: 60")
     parser.add_argument("--updates", type=number_in(int, 1, 10**9), help="of each estimator; default: 1000")
     parser.add_argument("--batch", type=number_in(int, 1, 10**7), help="control steps in an update; default: 1024")
-    text = "further histories, in control steps, to train those of a window on; default: the run's length alone"
+    text = "also train estimators of a window on histories of these lengths, in control steps; default: the run's alone"
     parser.add_argument("--history-lengths", nargs="+", type=number_in(int, 1, 1000), metavar="H", help=text)
     parser.add_argument("--seeds", type=number_in(int, 1, 1000), help="trainings of each estimator; default: 3")
     parser.add_argument("--seed", type=seed, help="of the recording and the first training; default: 0")

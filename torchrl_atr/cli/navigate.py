@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any
 
 from torchrl_atr._files import folder_for, say, whole
+from torchrl_atr.cli.chosen import checkpoint_file
 from torchrl_atr.cli.option_types import file_path, number_in, run_folder, seed
 from torchrl_atr.cli.printing import step_progress
 from torchrl_atr.deploy.manifest import report_home
@@ -61,7 +62,9 @@ def navigate(arguments: argparse.Namespace) -> None:
     where = load_map(arguments.map, arguments.resolution)
     output = arguments.output or report_home(arguments.run) / "navigation" / where.name
     chosen = {**DEPLOYMENT_OVERRIDES, **({} if arguments.sensors is None else {"sensors": arguments.sensors})}
-    config, env, networks, state = load_run(arguments.run, None, (), num_envs=1, **chosen)
+    config, env, networks, state = load_run(
+        arguments.run, checkpoint_file(arguments), arguments.imports or (), num_envs=1, **chosen
+    )
     limits, footprint = commanded_range(config, networks), footprint_of(env)
     response = RESPONSES.get(config.task.name, 0.0) if arguments.response is None else arguments.response
     most = arguments.max_yaw_rate or min(

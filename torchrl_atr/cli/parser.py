@@ -48,6 +48,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_bundles(commands)
     navigation = commands.add_parser("navigate", help="follow planned paths over a map, and measure the energy")
     add_navigate(navigation)
+    _add_checkpoint(navigation)
+    _add_import(navigation)
     comparison = commands.add_parser("compare", help="train and measure other estimators in the policy of a run")
     add_compare(comparison)
     _add_checkpoint(comparison)
@@ -112,7 +114,10 @@ def _add_evaluate(parser: argparse.ArgumentParser) -> None:
         "estimated: what a robot has; privileged: the truth, to tell errors of estimates from those of control"
     )
     parser.add_argument("--act-source", choices=("estimated", "privileged"), default="estimated", help=source_text)
-    text = "clip commands to the run's command_range.json, if there is one; or not; or not, and write it anew"
+    text = (
+        "apply: clip commands to command_range.json, if the run has one; ignore: do not clip; record: do not clip, and "
+        "write the mastered range there"
+    )
     parser.add_argument("--command-range", choices=("apply", "ignore", "record"), default="apply", help=text)
     grid = parser.add_argument_group("--protocol tracking and paper")
     step_text = "m/s; divides the range; default: 1, or 0.5; of paper: 0.1"

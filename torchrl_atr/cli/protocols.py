@@ -40,19 +40,18 @@ def fill_options(arguments: argparse.Namespace) -> None:
     """
     from torchrl_atr.training import ConfigError
 
-    if arguments.command_range == "record" and PROTOCOLS[arguments.protocol].measure is not tracking:
+    if arguments.command_range == "record" and arguments.protocol != "tracking":
         raise ConfigError("--command-range record: commands are found mastered one by one; take --protocol tracking")
     if arguments.protocol == "compatibility":
         for name in ("robot", "transporter"):
             if getattr(arguments, name) is not None:
                 raise ConfigError(f"--{name}: --protocol compatibility takes pairs; give --on ROBOT/TRANSPORTER")
     own = PROTOCOLS[arguments.protocol].options
-    for protocol, other in PROTOCOLS.items():
-        given = [
-            option_name(name) for name in other.options if name not in own and getattr(arguments, name) is not None
-        ]
-        if given:
-            raise ConfigError(f"{', '.join(given)}: only of --protocol {protocol}; leave it out, or take that protocol")
+    known = dict.fromkeys(name for protocol in PROTOCOLS.values() for name in protocol.options)
+    for name in known:
+        if name not in own and getattr(arguments, name) is not None:
+            owners = " or ".join(f"--protocol {each}" for each, other in PROTOCOLS.items() if name in other.options)
+            raise ConfigError(f"{option_name(name)}: only of {owners}; leave it out, or take that protocol")
     for name, value in own.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, value)

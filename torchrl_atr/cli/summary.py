@@ -44,13 +44,13 @@ def run_figures(progress_csv: Path) -> Iterator[str]:
     )
 
 
-def next_commands(run: Path, teacher: bool = False, riding: bool = True) -> list[str]:
+def next_commands(run: Path, task: str = "riding", teacher: bool = False) -> list[str]:
     """Return commands for a run that ended, and what each is for.
 
     Args:
         run: its folder.
+        task: its name; policies of riding and walking can be exported.
         teacher: whether there is only a policy on privileged information, which is not deployed.
-        riding: whether the task is riding, whose policies can be exported.
     """
     folder, truth = shlex.quote(str(run)), " --act-source privileged" if teacher else ""
     commands = [
@@ -59,7 +59,7 @@ def next_commands(run: Path, teacher: bool = False, riding: bool = True) -> list
         *([] if teacher else [(f"torchrl-atr view {folder}", "see it and steer it in the browser")]),
         (f"torchrl-atr plot {folder} --output {folder}/figures", "learning curves and evaluations as figures"),
     ]
-    if riding and not teacher:
+    if task in ("riding", "walking") and not teacher:
         commands.append((f"torchrl-atr export {folder} --output my-policy", "a policy that runs without torch"))
     width = max(len(command) for command, _ in commands)
     return ["next:", *(f"  {command:{width}}  # {purpose}" for command, purpose in commands)]

@@ -14,7 +14,9 @@ _LINGER = 30.0
 def add_view(parser: argparse.ArgumentParser) -> None:
     """Add the options of ``view`` to its parser; its ``--checkpoint`` and ``--import`` are everybody's."""
     _add_common(parser)
-    parser.add_argument("--robots", type=number_in(int, 1, 16), default=1, help="several have bodies of their own")
+    parser.add_argument(
+        "--robots", type=number_in(int, 1, 16), default=1, help="with several, each draws its own intrinsic parameters"
+    )
     parser.add_argument("--sensors", metavar="NAME", help="ideal, realistic or a custom set; default: the run's")
     parser.add_argument("--seed", type=seed, default=0)
 

@@ -25,12 +25,12 @@ class EnvConfig(Settings):
     num_envs: int = setting(512, within=(1, 1e6), alias="num-envs", paper=4096)
     """Robots simulated at once. 512 robots of 12 steps learn as much from a frame as 256 of 24, and collect faster."""
     episode_seconds: float = setting(20.0, within=(0.1, 1e6), unit="s", paper=10.0)
-    """Time limit of an episode. In 20 s commands change three times and pushes come six times, as in a long ride."""
+    """Time limit of an episode. In 20 s commands change three times and pushes come often, as in a long ride."""
     first_episode_seconds: float = setting(
         5.0, within=(0, 1e6), unit="s", off=0.0, addition="episodes that become longer during training"
     )
     """Time limit of episodes at first; 0 for episode_seconds throughout. Short episodes begin often, at every speed,
-    and teach tracking sooner. It needs staggered_starts."""
+    and teach tracking sooner. Without staggered_starts it has no effect."""
     short_episodes: float = setting(0.0, within=(0, 1))
     """Share of the episodes that keep the first time limit. Short ones teach tracking, long ones lasting; with 0.8, at
     a quarter of the length, half of the steps are of each, and fewer robots last a minute."""

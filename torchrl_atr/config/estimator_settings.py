@@ -29,8 +29,8 @@ class EstimatorConfig(Settings):
     epochs: int = setting(1, within=(0, 1000))
     """Passes over a batch; with 0, estimators stay as they are."""
     dead_reckoning: bool = setting(True, off=False, addition="dead-reckoned velocity")
-    """Let the extrinsic estimator also read the integral of the measured acceleration. 0.2 s of history sees speed only
-    through the resistance: 0.06 m/s² for each m/s."""
+    """Let the extrinsic estimator also read the dead-reckoned velocity, see task.velocity_filter. 0.2 s of history sees
+    speed only through the resistance: 0.06 m/s² for each m/s."""
     normalize_targets: bool = setting(
         True, question="A25", off=False, addition="normalised targets of the extrinsic estimator"
     )

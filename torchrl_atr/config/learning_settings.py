@@ -80,8 +80,8 @@ class PPOConfig(Settings):
     max_grad_norm: float = setting(1.0, within=(TINY, 1e9))
     """Norm to which each optimiser's gradient is clipped."""
     smoothness_coeff: float = setting(0.3, within=(0, 1e3), off=0.0, addition="smoothness loss")
-    """Pull of the mean action towards that of the step before. r11 and r12 weigh 1e-5 and 1e-7: nothing keeps a policy
-    from chattering at 50 Hz, which lifts feet off the board."""
+    """Pull of the mean action towards that of the step before. r11 weighs 1e-5, r12's joint acceleration 1e-7: nothing
+    keeps a policy from chattering at 50 Hz, which lifts feet off the board."""
     ema_horizon: int = setting(100, within=(1, 1e6), off=1, addition="averaged weights")
     """Iterations of the exponential moving average of the weights, which is what is deployed; 1 for the last weights.
     Averaged weights follow a batch's noise less."""

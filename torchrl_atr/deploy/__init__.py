@@ -1,7 +1,8 @@
 """Deployment: policy bundles, and their runtime, which needs NumPy and ONNX Runtime alone.
 
-Nothing here imports torch; :mod:`torchrl_atr.deploy.export` writes bundles, :mod:`torchrl_atr.deploy.loading` loads
-them into TorchRL, and :mod:`torchrl_atr.deploy.simulation` is a robot in plain MuJoCo.
+What is exported here imports no torch; :mod:`torchrl_atr.deploy.export`, which writes bundles, and
+:mod:`torchrl_atr.deploy.loading`, which loads them into TorchRL, do. :mod:`torchrl_atr.deploy.simulation` is a robot in
+plain MuJoCo.
 """
 
 from torchrl_atr.deploy.manifest import BundleError, policies, read_manifest

@@ -23,7 +23,7 @@ RESETS = {20: 0, 165: 1, 166: 1}
 
 
 def _commands(policy: Any, env: Any) -> list[tuple[float, ...]]:
-    """Return commands; a gait's clock runs by what is asked for, so a walking robot is asked for what it does."""
+    """Return commands, for a walking policy within its range: its gait clock runs on the command that is asked for."""
     if CLOCK not in env.base_env.task.observations["proprio"]:
         return list(COMMANDS)
     box = grid_range(env.curriculum.grid)

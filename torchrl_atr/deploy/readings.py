@@ -21,8 +21,6 @@ FROM_STANCE = 0.6
 """Largest difference of a joint from q0 at the start of an episode, rad: more is another order, sign or zero."""
 BEYOND_RANGE = 0.5
 """Largest excess of a joint over its range, rad."""
-
-
 STANDING_TILT = 0.5
 """Largest roll or pitch at the start of an episode, rad."""
 _VISIBLE = 5.0
@@ -46,7 +44,7 @@ class Imu(NamedTuple):
     orientation: ArrayLike
 
 
-class Clock:
+class RateCheck:
     """Check that control steps come at their period, on average: a late one alone is no error.
 
     Args:
@@ -79,14 +77,14 @@ class Clock:
             )
 
 
-class Units:
+class UnitCheck:
     """Check that rates are those of the angles: one reading may be degrees that look like radians, a second's are not.
 
     Args:
         period: of the control steps, s.
 
     Example:
-        >>> units, still = Units(0.02), np.zeros(12, np.float32)
+        >>> units, still = UnitCheck(0.02), np.zeros(12, np.float32)
         >>> units.check({"orientation": still[:2], "angular_velocity": still[:3]}, still, still)
     """
 

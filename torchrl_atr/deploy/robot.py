@@ -48,6 +48,8 @@ def run_policy(
 ) -> None:
     """Run an episode: read, step, send, at the robot's pace.
 
+    If anything fails, an interrupt included, the robot is sent a command that only damps its joints.
+
     Args:
         runner: of a bundle.
         robot: that stands at rest in q0.
@@ -56,12 +58,16 @@ def run_policy(
         watch: called with each reading.
 
     Raises:
-        InputError: see :meth:`PolicyRunner.step`; the robot then keeps the last command, so stop it.
+        InputError: see :meth:`PolicyRunner.step`.
     """
     runner.reset()
-    for step in range(round(seconds * runner.manifest["control"]["rate_hz"])):
-        state = robot.read()
-        if watch is not None:
-            watch(state)
-        asked = command(step / runner.manifest["control"]["rate_hz"])
-        robot.send(runner.step(*state[1:], asked, time=state.time))
+    rate = runner.manifest["control"]["rate_hz"]
+    try:
+        for step in range(round(seconds * rate)):
+            state = robot.read()
+            if watch is not None:
+                watch(state)
+            robot.send(runner.step(*state[1:], command(step / rate), time=state.time))
+    except BaseException:
+        robot.send(runner.damping())
+        raise

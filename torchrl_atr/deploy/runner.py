@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from copy import copy
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,9 +15,9 @@ from torchrl_atr._errors import InputError, MissingPackageError
 from torchrl_atr.deploy.manifest import POLICY, find_policy, read_manifest
 from torchrl_atr.deploy.readings import (
     Array,
-    Clock,
     Imu,
-    Units,
+    RateCheck,
+    UnitCheck,
     check_imu,
     check_joints,
     check_robot,
@@ -117,13 +118,13 @@ class PolicyRunner:
         self._policy = OnnxPolicy(bundle, self.manifest)
         self._gains = Gains(*(self._of_joints(name) for name in ("kp", "kd")))
         period = 1.0 / self.manifest["control"]["rate_hz"]
-        self._clock, self._units, self._warned = Clock(period), Units(period), False
+        self._rate, self._units, self._warned = RateCheck(period), UnitCheck(period), False
         self.reset()
 
     def reset(self) -> None:
         """Begin an episode with the next step."""
         self._start = True
-        self._clock.reset()
+        self._rate.reset()
         self._units.reset()
         self.command: Array = np.zeros(len(self.manifest["command"]["names"]), np.float32)
         self.estimates: dict[str, Array] = {}
@@ -150,20 +151,25 @@ class PolicyRunner:
                 manifest's, or, if ``strict``, a command beyond the range. The state is then as before the step.
         """
         readings = self._checked(imu, joint_positions, joint_velocities, command)
-        state, batch = self._policy.state, {name: value[None] for name, value in readings.items()}
+        before, batch = self._policy.state, {name: value[None] for name, value in readings.items()}
+        checks = copy(self._rate), copy(self._units)
         outputs = {name: value[0] for name, value in self._policy(np.array([self._start]), batch).items()}
         try:
             self._check_range(readings["command"], outputs["command_in_range"])
-            # last: a step that is refused before may be asked for again, with the same readings and time
             self._units.check(readings, readings["joint_position"], readings["joint_velocity"])
             if time is not None:
-                self._clock.check(time)
-        except InputError:
-            self._policy.state = state
+                self._rate.check(time)
+        except InputError:  # the same readings and time may be given again
+            self._policy.state, (self._rate, self._units) = before, checks
             raise
         self._start, self.command = False, outputs["command_in_force"]
         self.estimates = self._named(outputs)
         return JointCommand(outputs["joint_targets"], self._gains)
+
+    def damping(self) -> JointCommand:
+        """Return a command that only damps the joints, by the policy's kd: for a robot that has to be stopped."""
+        kp, kd = self._gains
+        return JointCommand(self._of_joints("q0"), Gains(np.zeros_like(kp), kd))
 
     def _checked(self, imu: Any, positions: ArrayLike, velocities: ArrayLike, command: ArrayLike) -> dict[str, Array]:
         try:

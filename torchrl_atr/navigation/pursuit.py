@@ -61,10 +61,10 @@ class PursuitConfig:
 class PurePursuit:
     """Pure pursuit of n paths by n robots at once.
 
-    The curvature of the arc to the pursued point at distance L and lateral offset y is κ = 2 y / L²; the commands are
-    c_v, which falls before the goal and where κ c_v would exceed the largest yaw rate, and c_ω = κ c_v. Distance and
-    offset are those from where a robot will be after ``response`` seconds at its present speed and yaw rate, which are
-    means over the last :data:`SMOOTHING` seconds of calls.
+    The curvature of the arc to the pursued point at distance L and lateral offset y is κ = 2 y / L², with L at least
+    ``min_look_ahead``. The commands are c_v, which falls before the goal and where κ c_v would exceed the largest yaw
+    rate, and c_ω = κ c_v. Distance and offset are those from where a robot will be after ``response`` seconds at its
+    present speed and yaw rate, which are means over the last :data:`SMOOTHING` seconds of calls.
 
     Args:
         paths: one for each robot.

@@ -1,4 +1,4 @@
-"""Copies of the files that a run's settings name, so that its folder can be moved and does not need the originals."""
+"""Names of a run's files, and functions that copy, clear and locate them."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ SINCE = {
     "task.fall_weight": 1.0,
     "task.interpretation.aligned_com": False,
 }
-"""Settings that older runs lack and that change what they did, with what they did."""
+"""Values of settings that were added after a run was made; each keeps what that run did."""
 
 
 def check_entries(state: Mapping[str, Any], run: Path) -> None:
@@ -64,7 +64,7 @@ def check_entries(state: Mapping[str, Any], run: Path) -> None:
 
 
 def read_other(start: Path, run: Path) -> dict[str, Any]:
-    """Return the checkpoint of the run or policy ``start``, that one in ``run`` begins from, and its folder as ``run``.
+    """Return the checkpoint of ``start``, from which the new run in ``run`` begins; its entry ``run`` is ``start``.
 
     Raises:
         ConfigError: if they are one.

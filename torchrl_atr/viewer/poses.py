@@ -87,19 +87,18 @@ class ChaseFrame:
         self.place = np.zeros(2)
         self.yaw: float | None = None
 
-    def follow(self, place: Array, heading: float, dt: float, turning: bool = True) -> None:
+    def follow(self, place: Array, heading: float, dt: float) -> None:
         """Move to a robot's place, and turn towards its heading.
 
         Args:
             place: m, (2,).
             heading: rad.
             dt: seconds since the last call.
-            turning: whether to turn at all.
         """
         self.place = place
         if self.yaw is None:
             self.yaw = heading
-        elif turning:
+        else:
             self.yaw += math.remainder(heading - self.yaw, math.tau) * min(1.0, dt / _TURNING_TIME)
 
     @property

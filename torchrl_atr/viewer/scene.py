@@ -41,7 +41,6 @@ class SceneDisplay:
         from mjviser import ViserMujocoScene
 
         self._frame = ChaseFrame()
-        self.turning = True
         server.scene.configure_default_lights()
         # mjviser writes its own scales into the model
         self._robots = ViserMujocoScene(server, copy.copy(session.poses.model), session.setup.robots)
@@ -69,7 +68,7 @@ class SceneDisplay:
             dt: seconds since the last call, for the lag of the turning.
         """
         poses, row = session.poses.read(), session.followed
-        self._frame.follow(poses.places[row], float(poses.headings[row]), dt, self.turning)
+        self._frame.follow(poses.places[row], float(poses.headings[row]), dt)
         rotation, yaw = self._frame.rotation, self._frame.yaw or 0.0
         self._robots.update_from_arrays(self._frame.to_frame(poses.positions), rotation @ poses.rotations)
         self._floor.position = rotation @ [*-near_origin(self._frame.place, _SECTION), 0.0]

@@ -40,6 +40,16 @@ def test_half_the_time_step_rides_nearly_alike():
     torch.testing.assert_close(*speeds, rtol=0.2, atol=5e-3)
 
 
+@pytest.mark.parametrize("at_once", [1, 2, 4])
+def test_a_delay_counts_substeps_since_the_command_however_they_are_made(at_once):
+    env = make(Simulation(action_delay=0.01))
+    engine, stand = env.engine, torch.tensor(env.scene.robot.q0)
+    engine.command((stand + 0.1).expand(len(engine.qpos), -1))
+    for _ in range(4 // at_once):
+        engine.advance(at_once)
+    torch.testing.assert_close(engine.ctrl[0, engine._actuators].float(), stand + 0.1)
+
+
 @pytest.mark.parametrize(("delay", "late"), [(0.005, 1), (0.02, 4), (0.035, 7)])
 def test_targets_take_effect_after_their_delay(delay, late):
     engine, stand = (env := make(Simulation(action_delay=delay))).engine, torch.tensor(make("batch").scene.robot.q0)

@@ -18,7 +18,7 @@ S = TypeVar("S")
 
 
 class Spec(Protocol):
-    """Base class of frozen dataclasses that check their fields."""
+    """Interface of frozen dataclasses that check their fields."""
 
     def error(self, message: str) -> UserError:
         """Return an error that names the spec."""

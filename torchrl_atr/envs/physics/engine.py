@@ -94,6 +94,7 @@ class Engine(ABC):
         self.world_offset = torch.zeros(num_envs, 2, dtype=torch.float64)
         self.diverged = torch.zeros(num_envs, dtype=torch.bool)
         self._nominal: dict[str, Tensor] = {}
+        self._substeps = 0  # since the last command
         self._make()
         self.hook = SubstepHook(self) if make_hook is None else make_hook(self)
         check_hook(self.hook, num_envs, _STATE)
@@ -134,6 +135,7 @@ class Engine(ABC):
     def command(self, targets: Tensor) -> None:
         """Begin a control step: recentre and hand the PD controllers their targets, rad, (N, 12)."""
         self._recentre()
+        self._substeps = 0
         if self._delay is None:
             self.ctrl[:, self._actuators] = targets
         else:
@@ -146,8 +148,9 @@ class Engine(ABC):
         with one_torch_thread():
             for number in range(1, substeps + 1):
                 self.hook.apply(self.timestep)
-                if self._delay is not None and number == self._delay.due + 1:
+                if self._delay is not None and self._substeps == self._delay.due:
                     self.ctrl[:, self._actuators] = self._delay.current
+                self._substeps += 1
                 if number == substeps:
                     self.torque_velocity.copy_(self.qvel[:, self._joints])
                 self._substep(last=number == substeps)
