@@ -43,6 +43,22 @@ def test_it_gives_targets_gains_and_estimates(runner, q0):
     assert sum(len(value) for value in runner.estimates.values()) == 16 + 3
 
 
+def test_estimates_by_name_are_the_outputs_of_the_policy_piece_by_piece(bundle, runner, q0):
+    step(runner, q0, command=(1.0, 0.1))
+    readings = {
+        **dict(zip(("acceleration", "angular_velocity", "orientation"), AT_REST)),
+        "joint_position": q0,
+        "joint_velocity": np.zeros(12),
+        "command": (1.0, 0.1),
+    }
+    policy = OnnxPolicy(bundle, runner.manifest)
+    out = policy(np.array([True]), {name: np.float32([value]) for name, value in readings.items()})
+    *named, velocity = runner.estimates.values()
+    np.testing.assert_array_equal(np.concatenate(named), out["extrinsic"][0])
+    np.testing.assert_array_equal(velocity, out["dead_reckoned_velocity"][0])
+    assert len(named) > 4
+
+
 def test_one_robot_at_a_time_gives_what_the_batch_gives(bundle, runner):
     """Every robot of the recorded episode, resets included."""
     with np.load(bundle / EPISODE) as file:
@@ -83,6 +99,13 @@ def test_a_command_beyond_the_range_is_clipped_with_one_warning(runner, q0):
             step(runner, q0, command=(9.0, 0.2))
         np.testing.assert_allclose(runner.command, (2.2, 0.2), rtol=1e-5)
         step(runner, q0, command=(2.0, 0.2))
+
+
+def test_the_command_that_is_followed_approaches_a_jump_at_a_limited_rate(runner, q0):
+    """By 1.5 m/s and 0.5 rad/s a second, from zero."""
+    for steps in range(3):
+        step(runner, q0, command=(1.0, -0.2))
+        np.testing.assert_allclose(runner.command, (steps * 0.03, steps * -0.01), atol=1e-6)
 
 
 def test_a_strict_runner_refuses_it_and_keeps_its_state(bundle, q0):

@@ -40,6 +40,14 @@ def test_cnn_gru_matches_table_1():
     assert sum(isinstance(layer, TimeConvolution) for layer in net.convolutions) == 2
 
 
+def test_a_window_that_cnn_gru_pads_is_one_that_began_with_more_of_its_oldest_sample():
+    """Two more of 13 make the 15 samples that a stride of 3 divides."""
+    short, long = (CNNGRUEstimator((length, 3), 2, channels=8, gru_features=8, mlp_cells=(8,)) for length in (13, 15))
+    long.load_state_dict(short.state_dict())
+    history = torch.randn(4, 13, 3)
+    torch.testing.assert_close(short(history), long(torch.cat([history[:, :1], history[:, :1], history], 1)))
+
+
 @pytest.mark.parametrize(("length", "kernel", "stride"), [(10, 4, 2), (4, 2, 1), (5, 5, 3), (1, 1, 1)])
 def test_a_time_convolution_is_a_convolution_over_time(length, kernel, stride):
     ours, x = TimeConvolution(3, 8, kernel, stride), torch.randn(7, length, 3)

@@ -105,6 +105,14 @@ def test_a_layer_holds_half_of_a_plain_ones_weights():
     assert sum(parameter.numel() for parameter in layer.parameters()) == 64 * 32 // 2 + 16
 
 
+def test_a_layer_between_hidden_units_starts_with_a_bias_as_large_as_a_plain_ones():
+    """Uniform up to 1 / sqrt(64) for 64 inputs."""
+    torch.manual_seed(0)
+    bias = EquivariantLinear(halves_swapped(64), halves_swapped(1024))(torch.zeros(64)).abs()
+    assert 0.98 / 8 < bias.max() <= 1 / 8 + 1e-6
+    assert bias.mean().item() == pytest.approx(0.5 / 8, rel=0.1)
+
+
 def test_an_mlp_starts_with_outputs_as_large_as_a_plain_one():
     torch.manual_seed(0)
     x, swapped = torch.randn(512, 64), halves_swapped(64)

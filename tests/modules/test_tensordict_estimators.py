@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -202,6 +204,38 @@ def test_assignments_use_all_prototypes_alike():
     assert shares.shape == (5, 40, 8)
     torch.testing.assert_close(shares.sum(-1), torch.ones(5, 40))
     torch.testing.assert_close(shares.sum((0, 1)), torch.full((8,), 25.0), rtol=1e-2, atol=0.0)
+
+
+def test_the_divergence_from_the_prior_by_hand():
+    """KL(N(m, s) || N(0, 1)) = (s² + m² - 1) / 2 - ln s, summed over the code: here 0.5 + 2, and (1.5 - ln 2) + 0."""
+    net = get_estimator("variational")(
+        EstimatorSpec("extrinsic", (1, 5), {"extrinsic": OUT}), "mlp", code=2, coeff=3.0, kl_coeff=0.1
+    )
+    code = {"code_mean": torch.tensor([[1.0, 2.0], [0.0, 0.0]]), "code_std": torch.tensor([[1.0, 1.0], [2.0, 1.0]])}
+    losses = net.losses(TensorDict({**code, "next": {"observation": torch.zeros(2, 5)}}, [2]))
+    torch.testing.assert_close(losses["kl"], 0.3 * torch.tensor([2.5, 1.5 - math.log(2.0)]))
+
+
+def test_a_contrast_by_hand():
+    """Each side predicts the assignment of the other; both are balanced as they are, by the symmetry of the scores.
+
+    Windows are their prototypes, by cosines of 1 and 0; what follows leans the other way, by cosines of 0.6 and 0.8.
+    """
+    net = get_estimator("contrastive")(
+        EstimatorSpec("extrinsic", (1, 2), {"extrinsic": OUT}), "mlp", features=2, embedding=2, prototypes=2, coeff=3.0
+    )
+    net.of_window, net.of_next, net.prototypes = nn.Identity(), nn.Identity(), nn.Parameter(torch.eye(2))
+    following = {"observation": torch.tensor([[0.6, 0.8], [0.8, 0.6]])}
+    losses = net.losses(TensorDict({"features": torch.eye(2), "next": following}, [2]))
+
+    def entropy(share: float, lead: float) -> float:
+        """Of predicting a share of one prototype by scores that lead by so much there."""
+        return math.log1p(math.exp(-lead)) + (1.0 - share) * lead
+
+    # assignments by scores / 0.05: e^20 to 1 for its own, and e^4 to 1 for the other; predictions by scores / 0.2
+    of_next, of_window = 1.0 / (1.0 + math.exp(4.0)), 1.0 / (1.0 + math.exp(-20.0))
+    expected = 3.0 * 0.5 * (entropy(of_next, 5.0) + entropy(of_window, -1.0))
+    assert losses["contrast"].tolist() == pytest.approx([expected, expected], rel=1e-5)
 
 
 def test_a_contrast_is_low_where_windows_tell_what_follows():

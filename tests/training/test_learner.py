@@ -1,9 +1,10 @@
-"""The learner's schedules over a run."""
+"""The learner's schedules over a run, and the steps of an iteration."""
 
 from __future__ import annotations
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from torchrl_atr._compilation import compiler
@@ -24,6 +25,13 @@ def small_learner(settings=None):
     )
     env = make_env(config)
     return Learner(make_run_networks(config, env), config, reward_schedule=make_reward_schedule(env)), env
+
+
+def rolled_out(learner, env, steps=2):
+    """A batch of the learner's policy."""
+    with torch.no_grad():
+        policy = learner.networks.rollout_policy(learner.config.roa.act_source)
+        return env.rollout(steps, policy, break_when_any_done=False)
 
 
 @pytest.mark.parametrize("ramp", [False, True])
@@ -59,10 +67,7 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay(final, last)
             "exploration.anneal_until": 0.8,
         }
     )
-    config, rewards = learner.config, []
-    policy, advantage = learner.networks.rollout_policy(config.roa.act_source), learner.advantage
-    with torch.no_grad():
-        batch = env.rollout(2, policy, break_when_any_done=False)
+    batch, rewards, advantage = rolled_out(learner, env), [], learner.advantage
     learner.advantage = lambda data: (rewards.append(data["next", "reward"].clone()), advantage(data))[1]
     plain, steering = batch["next", "reward"].clone(), batch["next", "reward_terms", "steering_command"].clone()
     for progress in (0.0, 0.2, 0.8, 0.95):
@@ -75,11 +80,7 @@ def test_r1_counts_more_until_the_noise_has_sunk_and_the_terms_stay(final, last)
 
 def test_terms_count_as_scheduled_and_a_missing_one_is_named():
     learner, env = small_learner()
-    with torch.no_grad():
-        batch = env.rollout(
-            2, learner.networks.rollout_policy(learner.config.roa.act_source), break_when_any_done=False
-        )
-    seen, advantage = [], learner.advantage
+    batch, seen, advantage = rolled_out(learner, env), [], learner.advantage
     learner.advantage = lambda data: (seen.append(data["next", "reward"].clone()), advantage(data))[1]
     terms, plain = batch["next", "reward_terms"], batch["next", "reward"].clone()
     scheduled, other, *_ = terms.keys()
@@ -97,13 +98,62 @@ def test_terms_count_as_scheduled_and_a_missing_one_is_named():
         learner.update(batch.clone())
 
 
+def test_advantages_by_hand():
+    """A critic that says 10 everywhere: the errors are r + 0.9 x 10 - 10, their sum decays by 0.9 x 0.5 a step."""
+    learner, env = small_learner({"ppo.rollout_steps": 3, "ppo.gamma": 0.9, "ppo.gae_lambda": 0.5})
+    last = learner.networks.critic.net[-1]
+    for parameter in last.parameters():
+        torch.nn.init.zeros_(parameter)
+    batch = rolled_out(learner, env, 3)
+    torch.nn.init.constant_(last.even.bias, 10.0 / learner.networks.critic.scale)
+    ended = torch.tensor([[0, 0, 0], [0, 1, 0]], dtype=torch.bool).unsqueeze(-1)
+    batch["next"].update({"done": ended, "terminated": ended, "truncated": torch.zeros_like(ended)})
+    batch["next", "reward"] = torch.tensor([[1.0, 2.0, 4.0], [1.0, 1.0, 1.0]]).unsqueeze(-1)
+    with torch.no_grad():
+        learned = learner.advantage(batch)
+    errors = torch.tensor([[0.45 * 2.35, 1.0 + 0.45 * 3.0, 3.0], [0.45 * -9.0, -9.0, 0.0]])  # one fell: 1 - 10
+    torch.testing.assert_close(learned["value_target"].squeeze(-1), 10.0 + errors)
+    torch.testing.assert_close(learned["advantage"].squeeze(-1), (errors - errors.mean()) / errors.std(correction=0))
+
+
+def test_the_rate_stays_once_a_policy_has_gone_too_far():
+    """It has been lowered once for that, by 1.5, and one step of Adam, as large as the rate, was taken before."""
+    learner, env = small_learner(
+        {"ppo.rollout_steps": 4, "ppo.minibatches": 4, "ppo.epochs": 1, "ppo.learning_rate": 3e-4, "ppo.kl_stop": 5.0}
+    )
+    weight, divergences = next(learner.networks.backbone.parameters()), iter([0.0, 1.0, 1.0, 1.0])
+    start = weight.detach().clone()
+
+    def diverging(_):
+        terms = {"mean_ratio": torch.tensor(1.0), "kl_approx": torch.tensor(next(divergences))}
+        return TensorDict({**terms, "loss_objective": weight.sum()})
+
+    learner.loss.policy_loss = diverging
+    assert learner.update(rolled_out(learner, env, 4))["learning_rate"] == pytest.approx(2e-4)
+    torch.testing.assert_close(weight.detach(), start - 3e-4, atol=1e-7, rtol=0.0)
+
+
+def test_a_huge_gradient_is_clipped_for_policy_and_critic_apart():
+    learner, env = small_learner({"ppo.max_grad_norm": 0.5})
+    groups = [learner._groups[name] for name in ("policy", "critic")]
+
+    def steep(_):
+        terms = {"mean_ratio": torch.tensor(1.0), "kl_approx": torch.tensor(0.0)}
+        slopes = [sum(parameter.sum() for parameter in group) for group in groups]
+        return TensorDict({**terms, "loss_objective": 1e6 * slopes[0], "loss_critic": 1e3 * slopes[1]})
+
+    learner.loss.policy_loss = steep
+    learner.update(rolled_out(learner, env))
+    for group in groups:
+        norm = torch.stack([parameter.grad.norm() for parameter in group]).norm()
+        assert norm.item() == pytest.approx(0.5, rel=1e-4)
+
+
 def updates(learner, env, times):
     """After each of so many iterations, a copy of the networks' state."""
-    policy, states = learner.networks.rollout_policy(learner.config.roa.act_source), []
+    states = []
     for _ in range(times):
-        with torch.no_grad():
-            batch = env.rollout(2, policy, break_when_any_done=False)
-        learner.update(batch)
+        learner.update(rolled_out(learner, env))
         states.append({name: value.clone() for name, value in learner.networks.state_dict().items()})
     return states
 

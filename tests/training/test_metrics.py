@@ -34,6 +34,13 @@ def test_falls_per_minute_by_hand():
     assert "student_falls_per_minute" not in batch_metrics(_batch([[0, 1]]))
 
 
+def test_a_robot_that_turns_half_as_fast_as_it_should_has_a_yaw_gain_of_a_half():
+    batch = _batch([[0, 0, 0, 0]])
+    batch["command"] = torch.tensor([[[0.0, 1.0], [1.0, -0.6], [1.0, 0.2], [0.0, 0.0]]])
+    batch["next", "speeds"] = 0.5 * batch["command"]
+    assert batch_metrics(batch)["yaw_gain"] == pytest.approx(0.5)
+
+
 def test_falls_are_shown_as_a_moving_mean_and_logged_as_they_are(tmp_path):
     progress = Progress(tmp_path, TrainConfig(), logger=_Logger())
     for frames, falls in ((1, 60.0), (2, 0.0), (3, 0.0), (4, 0.0)):

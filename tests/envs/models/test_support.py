@@ -96,9 +96,11 @@ def test_a_fixed_support_stays_where_it_is():
     assert engine.qpos[0, root + 2] < 0.0  # through the floor, which touches nothing here
 
 
-def test_a_support_too_small_for_the_robot_is_named():
-    with pytest.raises(RobotError, match=r"off the surface of 'stool' \(0.2 x 0.2 m\)"):
-        build_scene(ROBOTS.get("a1"), Plate("stool", (0.2, 0.2)))
+@pytest.mark.parametrize("size", [(0.2, 0.2), (2.0, 0.2), (0.3, 2.0)])
+def test_a_support_too_small_for_the_robot_is_named(size):
+    """The feet are 0.16 m beside the middle, 0.19 m ahead and 0.24 m behind: half a size counts, not the whole."""
+    with pytest.raises(RobotError, match=rf"off the surface of 'stool' \({size[0]:g} x {size[1]:g} m\)"):
+        build_scene(ROBOTS.get("a1"), Plate("stool", size))
 
 
 def test_scenes_are_described_by_what_their_support_is_called():

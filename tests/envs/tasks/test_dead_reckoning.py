@@ -14,28 +14,49 @@ from torchrl_atr.envs import QuadrupedEnv
 from torchrl_atr.envs.interpretation import get_interpretation
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks import riding
-from torchrl_atr.envs.tasks.dead_reckoning import BIAS, KEY, LEAK_TIME, METHODS, START_STD, dead_reckoning
+from torchrl_atr.envs.tasks.dead_reckoning import (
+    BIAS,
+    KEY,
+    LARGEST_YAW,
+    LEAK_TIME,
+    METHODS,
+    START_STD,
+    dead_reckoning,
+)
 from torchrl_atr.envs.tasks.rotations import matrix_from_euler
 
 FILTERS = ["kalman_filter", "aligned_kalman_filter"]
 
 
 def drive(
-    method: str, speed: float, yaw_rate: float, seconds: float, bias: float = 0.0, roll: float = 0.0
+    method: str,
+    speed: float,
+    yaw_rate: float,
+    seconds: float,
+    bias: float = 0.0,
+    roll: float = 0.0,
+    pitch: float = 0.0,
+    gravity: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    """Return observation (1, D) and memory (1, size) after a steady drive; the accelerometer has a bias along x."""
+    """Return observation (1, D) and memory (1, size) after a steady drive; the accelerometer has a bias along x.
+
+    With ``gravity`` it also measures the upward reaction that carries the robot.
+    """
     group, term = dead_reckoning(method)
-    rotation = matrix_from_euler(*torch.tensor([[roll], [0.0], [0.0]]))
-    euler = torch.tensor([[roll, 0.0, 0.0]])
+    rotation = matrix_from_euler(*torch.tensor([[roll], [pitch], [0.0]]))
+    euler = torch.tensor([[roll, pitch, 0.0]])
     state = SimpleNamespace(rotation=rotation, euler=euler, velocity=torch.tensor([[speed, 0.0, 0.0]]))
     turned, dt = yaw_rate * CONTROL_DT, CONTROL_DT  # the difference of velocities over a step, in the frame after it
-    world = torch.tensor([[bias + speed * (1.0 - math.cos(turned)) / dt, speed * math.sin(turned) / dt, 0.0]])
+    world = torch.tensor(
+        [[bias + speed * (1.0 - math.cos(turned)) / dt, speed * math.sin(turned) / dt, 9.81 * gravity]]
+    )
     sensed = {
         "acceleration": (rotation * world.unsqueeze(-1)).sum(-2),
         "angular_velocity": (rotation * torch.tensor([[0.0, 0.0, yaw_rate]]).unsqueeze(-1)).sum(-2),
         "orientation": euler[:, :2],
     }
-    context = SimpleNamespace(state=state, interpretation=get_interpretation(), memory={}, sensed=sensed.__getitem__)
+    reading = get_interpretation("default", gravity_in_acceleration=gravity)
+    context = SimpleNamespace(state=state, interpretation=reading, memory={}, sensed=sensed.__getitem__)
     context.memory[KEY] = term.start(context)
     for _ in range(round(seconds / CONTROL_DT)):
         context.memory[KEY] = term.update(context)
@@ -43,10 +64,15 @@ def drive(
 
 
 @pytest.mark.parametrize("method", ["integral", *FILTERS])
-@pytest.mark.parametrize("roll", [0.0, 0.2])
-def test_a_steady_turn_keeps_its_speed_with_exact_sensors(method, roll):
-    observed, _ = drive(method, 5.0, 1.0, 30.0, roll=roll)
-    assert observed[0, 0].item() == pytest.approx(5.0, abs=2e-3)
+@pytest.mark.parametrize(
+    "posture",
+    [{}, {"roll": 0.2}, {"pitch": 0.3}, {"roll": 0.2, "pitch": -0.3, "gravity": True}],
+    ids=["level", "rolled", "pitched", "rolled and pitched, gravity measured"],
+)
+def test_a_steady_turn_keeps_its_speed_with_exact_sensors(method, posture):
+    observed, _ = drive(method, 5.0, 1.0, 30.0, **posture)
+    along_x = math.cos(posture.get("pitch", 0.0)) if method == "integral" else 1.0  # of the body, or of its heading
+    assert observed[0, 0].item() == pytest.approx(5.0 * along_x, abs=2e-3)
 
 
 def test_a_bias_grows_without_bound_in_the_integral_and_to_a_bound_in_the_leaky_one():
@@ -69,6 +95,32 @@ def test_without_a_turn_the_filter_knows_that_it_knows_less_and_less(method):
         std = drive(method, 0.0, 0.0, seconds)[0][0, 2].item()
         assert std == pytest.approx((START_STD**2 + (BIAS * seconds) ** 2) ** 0.5, rel=0.1)
     assert drive(method, 2.0, 0.5, 60.0)[0][0, 2] < 0.3
+
+
+@pytest.mark.parametrize(("method", "size"), zip(FILTERS, (4, 5)))
+def test_a_bias_that_nothing_shows_stays_as_unknown_as_it_was(method, size):
+    """The noise of its random process makes up for what the process forgets: the variance is stationary."""
+    covariance = drive(method, 0.0, 0.0, 5.0)[1][0, size:].reshape(size, size)
+    assert covariance[2, 2].item() == pytest.approx(BIAS**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_robot_is_never_taken_to_be_turned_further_than_the_filter_can_find_back(side):
+    """It speeds up askew of where it points: every step says that it is turned more."""
+    term = dead_reckoning("aligned_kalman_filter")[1]
+    level = matrix_from_euler(*torch.zeros(3, 1))
+    sensed = {
+        "acceleration": torch.tensor([[1.0, -4.0 * side, 0.0]]),
+        "angular_velocity": torch.zeros(1, 3),
+        "orientation": torch.zeros(1, 2),
+    }
+    own = SimpleNamespace(rotation=level, euler=torch.zeros(1, 3), velocity=torch.zeros(1, 3))
+    context = SimpleNamespace(state=own, interpretation=get_interpretation(), memory={}, sensed=sensed.__getitem__)
+    context.memory[KEY], yaws = term.start(context), []
+    for _ in range(400):
+        context.memory[KEY] = term.update(context)
+        yaws.append(context.memory[KEY][0, 4].item() * side)
+    assert max(yaws) == pytest.approx(LARGEST_YAW)
 
 
 @pytest.mark.parametrize(("method", "size"), zip(FILTERS, (4, 5)))

@@ -41,6 +41,19 @@ def test_in_the_stack_overspeed_ends_its_own_episode():
     assert carried["speeds"][1].abs().max() < 1e-6
 
 
+def test_a_fall_that_is_too_fast_as_well_is_penalised_once():
+    env = make_riding_env(num_envs=2, num_threads=1, seed=0, overspeed_margin=(2.0, 2.0))
+    td, engine = env.reset(), env.base_env.engine
+    engine.hook.speeds[:, 0] = 4.0
+    root = engine.scene.layout.root_qpos
+    engine.qpos[1, root + 3 : root + 7] = torch.tensor([0.0, 1.0, 0.0, 0.0], dtype=torch.float64)  # on its back
+    after = env.step(td.set("action", torch.zeros(env.action_spec.shape)))["next"]
+    assert after["terminated"].all()
+    terms = after["reward_terms"]
+    assert terms["termination"].squeeze(-1).tolist() == pytest.approx([-0.2, -0.2])
+    torch.testing.assert_close(torch.stack(list(terms.values())).sum(0), after["reward"])
+
+
 def test_a_copy_of_a_stack_watches_the_curriculum_of_the_copy():
     env = make_riding_env(num_envs=2, num_threads=1, seed=0, overspeed_margin=(2.0, 2.0))
     copy = TransformedEnv(RidingEnv(num_envs=2, num_threads=1, seed=0), env.transform.clone())

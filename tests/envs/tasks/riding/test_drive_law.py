@@ -9,7 +9,8 @@ import torch
 from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import TRANSPORTERS
 from torchrl_atr.envs.models.drives import tilt_drive
-from torchrl_atr.envs.tasks.riding.drive_law import DriveLaw, combination, combine, resistance
+from torchrl_atr.envs.physics.batch import BatchEngine
+from torchrl_atr.envs.tasks.riding.drive_law import DriveHook, DriveLaw, combination, combine, resistance
 
 DECK = TRANSPORTERS.get("single_board_g1")
 DT = 0.005
@@ -155,6 +156,32 @@ def test_mass_is_relative_to_nominal_or_printed():
 def test_as_printed_the_nominal_deck_peaks_near_one():
     model = DriveLaw(DECK, get_interpretation("literal"))
     assert run(model, (0.78, 0.0), (0.0, 0.0), 1)[0] / DT == pytest.approx((12.0 - 0.2) / 11.5)
+
+
+@pytest.fixture
+def hook(scene) -> DriveHook:
+    """Of two boards with a robot on each, at rest and level."""
+    return BatchEngine(scene, 2, DriveHook, num_threads=1).hook
+
+
+def test_holding_a_speed_takes_the_same_power_on_boards_of_any_mass(hook, scene):
+    """Their resistance is a force, 11.5 kg times the R of Eq. 1: at 2 m/s it takes 11.5 (0.2 + 0.1 + 0.02) 2 W."""
+    engine, layout = hook.engine, scene.support_layout
+    engine.fields["body_mass"][1, layout.board_bodies] *= 2.0
+    hook.refresh(torch.arange(2))
+    hook.speeds[:, 0] = 2.0
+    engine.qpos[:, layout.tilt_qpos[0]] = 0.32 / 12.0 * 0.78
+    assert hook.power().tolist() == pytest.approx([11.5 * 0.32 * 2.0] * 2, rel=0.01)  # tanh(2 / 0.5) is nearly one
+
+
+def test_the_force_points_along_the_heading_at_the_end_of_the_substep(hook, scene):
+    """From rest: the wanted velocity, which has turned by ω dt, is all that is missing."""
+    hook.speeds[:] = doubles([[3.0, 8.0], [3.0, -8.0]])
+    hook.engine.qpos[:, scene.support_layout.planar_qpos[2]] = 0.3
+    hook.apply(DT)
+    x, y, _ = hook.engine.qfrc_applied[:, scene.support_layout.planar_dof].unbind(-1)
+    torch.testing.assert_close(torch.atan2(y, x), 0.3 + hook.speeds[:, 1] * DT)
+    assert hook.speeds[:, 1].abs().min() > 7.9
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,31 @@ def test_two_feet_swing_to_their_places_and_the_other_two_stay_the_policys(steps
     assert feet[-1, [1, 2]].norm(dim=-1).min() > 0.02  # then it is the turn of the other two
 
 
+@pytest.mark.parametrize(("share", "steps_back"), [(0.75, False), (1.25, True)])
+def test_feet_step_once_both_of_a_pair_have_drifted_by_the_threshold_on_average(steps, robot, share, steps_back):
+    x, y, yaw = middle(steps, robot)
+    _, states = ride(steps, robot, (x + share * steps.threshold, y, yaw), SETTLING + 5)
+    assert bool((states[:, 0] == 1).any()) == steps_back
+
+
+def test_a_cycle_by_its_steps(steps, robot):
+    """A pair is lifted, returns to the policy's targets in fifths, and counts as home once its return has begun."""
+    x, y, yaw = middle(steps, robot)
+    actions, states = ride(steps, robot, (x + 0.08, y, yaw), SETTLING + SWING + BLEND + REST + 3)
+    lifted = (states[:, 0] == 1).nonzero().flatten().tolist()
+    assert lifted == [SETTLING + 1, SETTLING + SWING + BLEND + REST + 2]  # no sooner: all four rest in between
+    assert states[lifted, 1].tolist() == [0.0, 1.0]
+    landed, pair = lifted[0] + SWING - 1, [0, 3]
+    beside = (actions[landed:] - STILL).unflatten(-1, (4, 3))[: BLEND + 1, pair]
+    shares = torch.tensor([1.0, 0.8, 0.6, 0.4, 0.2, 0.0])
+    torch.testing.assert_close(beside, shares[:, None, None] * beside[0])
+    assert beside[0].abs().max() > 0.1
+    away = (states[:, 2:10].unflatten(-1, (4, 2)) - steps._home).norm(dim=-1)[:, pair]
+    assert away[landed + 1].min() > 0.05
+    assert (away[landed + 2] == 0.0).all()
+    assert (away[landed + 3] > 0.0).all()
+
+
 def test_turned_feet_step_back_as_far_as_they_are_turned(steps, robot):
     x, y, yaw = middle(steps, robot)
     actions, _ = ride(steps, robot, (x, y, yaw + 0.4), SETTLING + SWING + 2)

@@ -11,7 +11,7 @@ from torchrl_atr.envs.interpretation import get_interpretation
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks import StepContext
 from torchrl_atr.envs.tasks.riding import TERMINATIONS
-from torchrl_atr.envs.tasks.riding.resets import DISPLACEMENT, TURN
+from torchrl_atr.envs.tasks.riding.resets import DISPLACEMENT, TURN, start
 
 
 def ended(context: StepContext) -> list[str]:
@@ -86,6 +86,14 @@ def test_a_displaced_robot_that_moves_moves_with_the_board():
     arm = state.position[:, :2] - state.platform_position[:, :2]
     rigid = state.platform_velocity[:, :2] + state.speeds[:, 1:] * torch.stack([-arm[:, 1], arm[:, 0]], -1)
     torch.testing.assert_close(state.velocity[:, :2], rigid, atol=1e-4, rtol=0)
+
+
+def test_a_robot_that_starts_on_the_move_turns_about_the_vertical_as_the_board_does(scene):
+    generator, command = torch.Generator().manual_seed(0), torch.tensor([[2.0, 1.0], [2.0, -1.0]])
+    qvel, root = start(moving=1.0)(scene, command, generator).qvel, scene.layout.root_dof
+    board = qvel[:, scene.support_layout.planar_dof[2]]
+    assert board.sign().tolist() == [1.0, -1.0]
+    assert torch.equal(qvel[:, root + 3 : root + 6], torch.stack([0.0 * board, 0.0 * board, board], -1))
 
 
 @pytest.mark.parametrize("robot", ["a1", "go1", "anymal_c", "spot"])

@@ -12,10 +12,11 @@ from torchrl_atr.envs.interpretation import Interpretation, get_interpretation
 from torchrl_atr.envs.models import ROBOTS
 from torchrl_atr.envs.riding import RidingEnv
 from torchrl_atr.envs.tasks import riding
-from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS, outside_polygon
+from torchrl_atr.envs.tasks.riding.rewards import RIDING_REWARDS, outside_polygon, zero_moment_point
 
 Q0 = list(ROBOTS.get("a1").q0)
 TRACKING = ("forward_command", "steering_command")
+UNEVEN = [[0.2, -0.1, 0.195], [-0.2, -0.1, 0.195], [0.2, 0.1, 0.215], [-0.2, 0.1, 0.275]]
 
 
 def joints(*values: float) -> list[float]:
@@ -125,6 +126,23 @@ def test_a_rider_who_moves_with_the_board_is_aligned_at_any_speed():
     env.set_state(state)
     terms = env.step(td.set("action", torch.zeros(1, 12)))["next", "reward_terms"]
     assert abs(terms["position_alignment"].item()) < 0.02 * 30.0 * 0.003
+
+
+@pytest.mark.parametrize(
+    ("situation", "expected"),
+    [
+        # (0.495 - 0.195) / 9.81 x 3 behind the CoM, and to its right
+        ({"acceleration": [3.0, 1.0, 0.0]}, [-0.9 / 9.81, -0.3 / 9.81]),
+        # over feet that are 0.22 high on average
+        ({"acceleration": [3.0, 0.0, 0.0], "foot_position": UNEVEN}, [-0.275 / 9.81 * 3.0, 0.0]),
+        # in free fall and beyond it, feet are taken to carry a tenth of the weight
+        ({"acceleration": [0.3, 0.0, -9.81]}, [-0.3 / 0.981 * 0.3, 0.0]),
+        ({"acceleration": [0.3, 0.0, -12.0]}, [-0.3 / 0.981 * 0.3, 0.0]),
+    ],
+    ids=["on level feet", "on uneven feet", "in free fall", "pulled down"],
+)
+def test_the_zero_moment_point_by_hand(make_state, situation, expected):
+    assert zero_moment_point(make_state(**situation))[0].tolist() == pytest.approx(expected, abs=1e-6)
 
 
 def test_polygon_of_the_feet_in_contact():
