@@ -94,7 +94,7 @@ def test_a_replay_that_is_stopped_between_two_steps_leaves_nothing(tmp_path, mon
     module = sys.modules[ReplayedStep.__module__]
     steps = [ReplayedStep(i, 0.0, 0.0, 0.0, 0.0, 0.0, False) for i in range(5)]
     monkeypatch.setattr(module, "load_dump", lambda path: {"reason": ""})
-    monkeypatch.setattr(module, "_scene", lambda *_: None)
+    monkeypatch.setattr(module, "_make_env", lambda *_: None)
     monkeypatch.setattr(module, "_steps", lambda *_: iter(steps))
     monkeypatch.setattr(module, "OffscreenRenderer", _Blank)
 

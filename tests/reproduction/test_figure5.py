@@ -57,7 +57,7 @@ def test_trips_are_written_and_read_back(tmp_path):
     save_trips(before, [], tmp_path / "trips.npz")
     after = load_trips(tmp_path / "trips.npz")
     assert after.outcome.tolist() == ["goal", "fell"]
-    np.testing.assert_array_equal(after.energy.system, before.energy.system)
+    np.testing.assert_array_equal(after.cost.system, before.cost.system)
     assert after.traces[1].shape == (2, 6)
 
 

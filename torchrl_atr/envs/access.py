@@ -15,7 +15,7 @@ def base_env(env: EnvBase) -> Any:
     Example:
         >>> from torchrl_atr.envs import make_riding_env
         >>> type(base_env(make_riding_env(num_envs=1))).__name__
-        'RidingEnv'
+        'QuadrupedEnv'
     """
     while isinstance(env, TransformedEnv):
         env = env.base_env

@@ -32,7 +32,7 @@ class Wind(SubstepHook):
         self.state["gusts"] += 1.0
         self.engine.qfrc_applied[:, self.engine.scene.layout.root_dof] = 0.5 * self.state["gusts"][:, 0]
 
-    def lose(self, rows):
+    def reset_diverged(self, rows):
         self.state["gusts"][rows] = -1.0
 
 
