@@ -1,4 +1,4 @@
-"""What a protocol of ``evaluate`` hands on to be written and printed."""
+"""Outcome of a protocol of ``evaluate``, handed on to be written and printed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies below and around an env's transforms."""
+"""Access to the env below all transforms, and to the transforms around it."""
 
 from __future__ import annotations
 
