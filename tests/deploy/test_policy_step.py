@@ -109,7 +109,7 @@ def test_the_command_approaches_what_is_asked_for_within_the_range(limited):
 
 
 def test_a_reversal_begins_at_once_however_much_was_asked_for(limited):
-    """What approaches stops at the range, and does not run on towards 9 m/s and 4 rad/s beyond it."""
+    """A command that is approached stops at the range, and does not run on towards 9 m/s and 4 rad/s beyond it."""
     much = torch.tensor([[9.0, 0.0], [0.0, -4.0]])
     *_, last, reversed_once = follow(limited, [*[much] * 8, -much])
     assert torch.allclose(last.command_in_force, torch.tensor([[2.0, 0.0], [0.0, -1.0]]))
