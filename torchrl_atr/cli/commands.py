@@ -95,14 +95,14 @@ def _resume(arguments: TrainArguments) -> int:
 
 def _train(trainer: Trainer) -> int:
     """Train, and print where the run is, what it came to and what to do with it."""
+    from torchrl_atr.runs.files import LOG
+
     signal = trainer.train()
     run, amount = shlex.quote(str(trainer.run)), f"{trainer.frames:,} robot steps in {trainer.seconds / 60:.1f} minutes"
     say(f"{'finished' if signal is None else 'stopped'} after {amount}; the run is in {run}")
     if signal is not None:
         say(f"go on with: torchrl-atr train --resume {run}")
     teacher = getattr(trainer.learner.networks, "is_teacher", False)
-    from torchrl_atr.runs.files import LOG
-
     following = next_commands(trainer.run, trainer.config.task.name, teacher)
     say("\n".join([*run_figures(trainer.run / LOG), *following]))
     return 0 if signal is None else 128 + signal

@@ -20,11 +20,7 @@ from torchrl_atr._errors import InputError
 from torchrl_atr.envs.access import base_env
 from torchrl_atr.envs.physics import CONTROL_DT
 from torchrl_atr.envs.tasks.rotations import euler_from_matrix, matrix_from_quaternion
-from torchrl_atr.evaluation.access import (
-    command_limits,
-    command_owner,
-    extrinsic_components,
-)
+from torchrl_atr.evaluation.access import command_limits, command_owner, extrinsic_components
 from torchrl_atr.modules import NetworkKeys
 from torchrl_atr.modules.estimators import with_state
 from torchrl_atr.runs.checkpoint import CHOICES, LAST
